@@ -1,0 +1,49 @@
+# Everything from a fresh clone: `make demo` and `make test` set up .venv themselves (Python >= 3.10, a C++ compiler, make).
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+BUILD_TOOLS := "scikit-build-core>=1.1" "nanobind>=3.1,<4" "cmeel-eigen>=3.4,<4" "cmake>=3.20" ninja
+NATIVE := $(shell find cpp CMakeLists.txt pyproject.toml -type f)
+
+.PHONY: help env build demo test test-slow lint types sanitize bench clean
+help:
+	@echo "make demo | test | test-slow | lint | types | sanitize | bench | clean"
+
+$(VENV)/.tools:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Heliograph needs Python 3.10 or newer; set PYTHON=")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q --disable-pip-version-check $(BUILD_TOOLS)
+	touch $@
+
+$(STAMP): $(VENV)/.tools $(NATIVE)
+	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python -m pip install -q --disable-pip-version-check --no-build-isolation -e '.[dev]'
+	touch $@
+
+env build: $(STAMP)
+
+demo: $(STAMP)
+	$(BIN)/heliograph demo
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n 2
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -n 2 -m slow
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)
+	$(BIN)/mypy
+
+sanitize: $(VENV)/.tools
+	PATH="$(abspath $(BIN)):$$PATH" cmake -S . -B build/sanitize -G Ninja -DCMAKE_BUILD_TYPE=Debug -DHELIOGRAPH_PYTHON=OFF \
+	  -DHELIOGRAPH_CHECKS=ON -DPython_EXECUTABLE=$(abspath $(BIN))/python \
+	  -DCMAKE_CXX_FLAGS="-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer" >/dev/null
+	PATH="$(abspath $(BIN)):$$PATH" cmake --build build/sanitize
+	./build/sanitize/heliograph_checks
+
+clean:
+	rm -rf build $(VENV)

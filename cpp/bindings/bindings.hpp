@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: MIT
+// Array types that cross the boundary and one registration function a room.
+#pragma once
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <memory>
+#include <vector>
+
+namespace heliograph {
+
+namespace nb = nanobind;
+
+template <typename T, typename... Extra>
+using Array = nb::ndarray<T, nb::c_contig, nb::device::cpu, Extra...>;
+using Points = Array<const float, nb::shape<-1, 3>>;   // (N, 3) float32
+using Vectors = Array<const double, nb::shape<-1, 3>>; // (N, 3) float64
+using Matrix4 = Array<const double, nb::shape<4, 4>>;
+using Poses = Array<const double, nb::shape<-1, 4, 4>>;
+using Stamps = Array<const int64_t, nb::shape<-1>>;
+using Offsets = Array<const int32_t, nb::shape<-1>>;
+
+// Hands a vector's memory to NumPy without a copy.
+template <typename T, typename... Extra>
+nb::ndarray<nb::numpy, T, Extra...> to_numpy(std::vector<T>&& values, std::initializer_list<size_t> shape) {
+  auto owned = std::make_unique<std::vector<T>>(std::move(values));
+  T* data = owned->data();
+  nb::capsule owner(owned.release(), [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return nb::ndarray<nb::numpy, T, Extra...>(data, shape, owner);
+}
+
+void bind_sim(nb::module_& m);
+
+}  // namespace heliograph

@@ -1,0 +1,8 @@
+// SPDX-License-Identifier: MIT
+// The Python module: arrays in, arrays out. One file a room; this one only gathers them.
+#include "bindings/bindings.hpp"
+
+NB_MODULE(_core, m) {
+  m.doc() = "Native kernels of Heliograph; private, wrapped by the Python rooms.";
+  heliograph::bind_sim(m);
+}

@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: MIT
+// Assert-style checks for the sanitizer build; no framework.
+#pragma once
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+
+#define CHECK(condition)                                                        \
+  do {                                                                          \
+    if (!(condition)) {                                                         \
+      std::fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #condition);      \
+      std::exit(1);                                                             \
+    }                                                                           \
+  } while (false)
+
+#define CHECK_NEAR(a, b, tolerance) CHECK(std::abs((a) - (b)) <= (tolerance))
+
+// One function a room; main.cpp calls them all.
+void check_util();

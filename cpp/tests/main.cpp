@@ -1,0 +1,8 @@
+// SPDX-License-Identifier: MIT
+#include "tests/check.hpp"
+
+int main() {
+  check_util();
+  std::puts("all native checks passed");
+  return 0;
+}

@@ -1,0 +1,96 @@
+"""What an odometry says about one scan."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.data.event import Event
+from heliograph.data.trajectory import Trajectory
+
+__all__ = ["ScanResult"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanResult:
+    """The state at a scan's end, its uncertainty, the de-skewed cloud, and how the update went.
+
+    Parameters
+    ----------
+    index : int
+        Number of the LiDAR message in the run, from 0.
+    stamp_ns, header_stamp_ns, end_ns : int
+        Start of the sweep, the message's own stamp, end of the sweep [ns].
+    T_odom_imu : (4, 4) float64
+        Pose at ``end_ns``.
+    v_odom : (3,) float64
+        Velocity [m/s].
+    gyro_bias : (3,) float64
+        [rad/s].
+    accel_bias : (3,) float64
+        [m/s^2].
+    g_odom : (3,) float64
+        Gravity [m/s^2].
+    covariance : (K, K) float64
+        Of the filter's error state: rotation (body), position (odom), velocity (odom), gyro bias, accelerometer bias,
+        gravity ... (CONVENTIONS.md, 2).
+    path : Trajectory
+        odom frame, imu body: the poses from the previous scan's end to this one's, at the IMU samples in between and at
+        both ends, and at ``header_stamp_ns`` where that lies inside.
+    T_odom_imu_header : (4, 4) float64
+        Pose at ``header_stamp_ns``.
+    points_imu : (N, 3) float32
+        The de-skewed points in the imu frame at ``end_ns`` [m]. One a valid point of the message inside the range gate.
+    intensity : (N,) float32 or None
+        Of those points.
+    status : str
+        ``"first"``, ``"tracked"``, ``"degenerate"``, ``"predicted"`` (nothing matched; the motion model carried on),
+        ``"lost"``, ``"empty"``.
+    matches : int
+        Points with a plane.
+    fallback_matches : int
+        Of those, found by the nearest-neighbour fallback.
+    queries : int
+        Points that looked for one.
+    iterations : int
+        Of the iterated update.
+    rms : float
+        Robust RMS of the point-to-plane residuals after the update [m].
+    eigenvalues_rotation, eigenvalues_translation : (3,) float64
+        Of the per-measurement information matrix, ascending [1/rad^2 m^2 scaled to 1 m lever; 1]. In [0, 1] for translation.
+    weak_direction : (3,) float64
+        Unit vector along the least observed translation, odom frame.
+    timings : mapping
+        Stage name -> milliseconds.
+    events : tuple of Event
+        What went wrong in this scan.
+    """
+
+    index: int
+    stamp_ns: int
+    header_stamp_ns: int
+    end_ns: int
+    T_odom_imu: NDArray[np.float64]
+    v_odom: NDArray[np.float64]
+    gyro_bias: NDArray[np.float64]
+    accel_bias: NDArray[np.float64]
+    g_odom: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    path: Trajectory
+    T_odom_imu_header: NDArray[np.float64]
+    points_imu: NDArray[np.float32]
+    intensity: NDArray[np.float32] | None
+    status: str
+    matches: int = 0
+    fallback_matches: int = 0
+    queries: int = 0
+    iterations: int = 0
+    rms: float = float("nan")
+    eigenvalues_rotation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    eigenvalues_translation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    weak_direction: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    timings: Mapping[str, float] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()

@@ -1,0 +1,107 @@
+"""Messages as a container holds them, before anything is inferred: every reader yields these."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.data import Event
+
+__all__ = ["RawCloud", "RawFix", "RawImu", "RawMessage", "RawSource", "RawTransform", "TopicInfo"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawCloud:
+    """A point cloud as named columns (views into the message where possible; not yet filtered for NaN).
+
+    ``layout`` names how it was stored (``"PointCloud2"``, ``"livox/CustomMsg"``, ``"velodyne-bin"`` ...), so that inference
+    can recognise a driver.
+    """
+
+    topic: str
+    received_ns: int
+    stamp_ns: int
+    frame_id: str
+    columns: Mapping[str, NDArray[np.generic]]
+    layout: str = "PointCloud2"
+    base_time_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawImu:
+    """One inertial sample in the recording's own units."""
+
+    topic: str
+    received_ns: int
+    stamp_ns: int
+    frame_id: str
+    gyro: tuple[float, float, float]
+    accel: tuple[float, float, float]
+    has_orientation: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawFix:
+    """One GNSS fix."""
+
+    topic: str
+    received_ns: int
+    stamp_ns: int
+    frame_id: str
+    latitude_deg: float
+    longitude_deg: float
+    altitude: float
+    covariance_enu: NDArray[np.float64] | None
+    valid: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawTransform:
+    """One tf edge: ``p_parent = T_parent_child @ p_child``."""
+
+    topic: str
+    received_ns: int
+    parent: str
+    child: str
+    T_parent_child: NDArray[np.float64]
+    static: bool
+
+
+RawMessage = RawCloud | RawImu | RawFix | RawTransform
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TopicInfo:
+    """A topic of the container: ``kind`` is ``"lidar"``, ``"imu"``, ``"gnss"``, ``"tf"``, ``"lidar-packets"`` or ``"other"``."""
+
+    name: str
+    message_type: str
+    kind: str
+    count: int
+
+
+class RawSource(Protocol):
+    """A container of raw messages; opening it must be cheap, and `messages` may be called several times."""
+
+    description: str
+    topics: tuple[TopicInfo, ...]
+    events: list[Event]
+
+    def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]:
+        """Yield the messages of ``topics`` in the order in which they were received.
+
+        Damage (a truncated file) ends the iteration and is added to ``events``; it never raises after the first message.
+        """
+        ...
+
+    def factory_T_imu_lidar(self) -> tuple[NDArray[np.float64], str] | None:
+        """Return the sensor's own ``T_imu_lidar`` and its name, where the container's metadata tell it."""
+        ...
+
+    def close(self) -> None:
+        """Release the files."""
+        ...
