@@ -85,7 +85,17 @@ class OutputConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """All of a run. ``sensors`` is ``"auto"``, ``"lidar,imu"``, ``"lidar"`` or ``"imu"``; ``threads`` 0 means min(2, cores)."""
+    """All of a run.
+
+    Parameters
+    ----------
+    odometry : str
+        ``"filter"``.
+    sensors : str
+        ``"auto"`` (what the recording holds), ``"lidar,imu"``, ``"lidar"`` or ``"imu"``.
+    threads : int
+        0 means the smaller of 2 and the number of cores.
+    """
 
     odometry: str = "filter"
     sensors: str = "auto"

@@ -1,4 +1,7 @@
-"""Lie groups of robotics, batched: array functions in `so3`, `se3`, `so2`, `se2`, `s2`; values in `SO3`, `SE3`, `SO2`, `SE2`, `S2`."""
+"""Lie groups of robotics, batched.
+
+Array functions live in the modules `so3`, `se3`, `so2`, `se2` and `s2`; `SO3`, `SE3`, `SO2`, `SE2` and `S2` are values.
+"""
 
 from heliograph.lie import s2, se2, se3, so2, so3
 from heliograph.lie.groups import S2, SE2, SE3, SO2, SO3

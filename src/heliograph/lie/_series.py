@@ -1,7 +1,7 @@
 """Trigonometric coefficients of the exponential maps, accurate at every angle.
 
-Each is a function of the *squared* angle, for a float or an array. Below a limit a power series is used: the closed forms
-subtract nearly equal numbers there.
+Each is a function of the *squared* angle, for a float or an array. Below a limit a power series is used: the closed
+forms subtract nearly equal numbers there.
 """
 
 from __future__ import annotations
@@ -40,16 +40,17 @@ def _evaluate(
     return np.where(small, near, far)
 
 
-def _alternating(numerator: Callable[[int], int], factorial: Callable[[int], int]) -> tuple[float, ...]:
-    return tuple((-1) ** k * numerator(k) / math.factorial(factorial(k)) for k in range(_TERMS))
+def _alternating(first: int, slope: int, offset: int) -> tuple[float, ...]:
+    """Return ``(-1)^k (first + slope k) / (2k + offset)!`` for k = 0, 1, ..."""
+    return tuple((-1) ** k * (first + slope * k) / math.factorial(2 * k + offset) for k in range(_TERMS))
 
 
-_SINC = _alternating(lambda k: 1, lambda k: 2 * k + 1)
-_VERSINE = _alternating(lambda k: 1, lambda k: 2 * k + 2)
-_CUBIC = _alternating(lambda k: 1, lambda k: 2 * k + 3)
-_QUARTIC = _alternating(lambda k: 1, lambda k: 2 * k + 4)
-_QUINTIC = _alternating(lambda k: k + 1, lambda k: 2 * k + 5)
-_SLOPE = _alternating(lambda k: -2 * (k + 1), lambda k: 2 * k + 3)
+_SINC = _alternating(1, 0, 1)
+_VERSINE = _alternating(1, 0, 2)
+_CUBIC = _alternating(1, 0, 3)
+_QUARTIC = _alternating(1, 0, 4)
+_QUINTIC = _alternating(1, 1, 5)
+_SLOPE = _alternating(-2, -2, 3)
 # |B_2n| / (2n)!, from the Bernoulli numbers 1/6, 1/30, 1/42, 1/30, 5/66, 691/2730, 7/6, 3617/510.
 _COTANGENT = (
     1 / 12,

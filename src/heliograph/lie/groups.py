@@ -106,7 +106,7 @@ class MatrixGroup:
     def _act(self, points: NDArray[Any]) -> Array:
         return np.asarray((self.matrix @ points[..., None])[..., 0], dtype=np.float64)
 
-    def __getitem__(self: Self, index: Any) -> Self:
+    def __getitem__(self: Self, index: int | slice | NDArray[Any]) -> Self:
         """Return a part of the batch."""
         if self.matrix.ndim == 2:
             raise TypeError(f"a single {type(self).__name__} has no batch to index")

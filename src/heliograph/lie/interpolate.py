@@ -16,9 +16,9 @@ def interpolate_se3(
 ) -> NDArray[np.float64]:
     """Return the poses at the queried times.
 
-    Between two stamps the body moves with a constant twist: the geodesic of SE(3), not of SO(3) x R^3. The path is then the
-    same whichever point of the body is followed, so interpolation commutes with a change of body or of fixed frame, and a
-    turning vehicle keeps to its arc instead of cutting the corner.
+    Between two stamps the body moves with a constant twist: the geodesic of SE(3), not of SO(3) x R^3. The path is then
+    the same whichever point of the body is followed, so interpolation commutes with a change of body or of fixed frame,
+    and a turning vehicle keeps to its arc instead of cutting the corner.
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ def interpolate_se3(
     poses = np.asarray(T_frame_body, dtype=np.float64)
     if len(stamps) == 0 or poses.shape != (len(stamps), 4, 4):
         raise DataError(
-            f"{len(stamps)} stamps with poses of shape {poses.shape}; one (4, 4) pose a stamp is needed, and at least one"
+            f"{len(stamps)} stamps with poses of shape {poses.shape}; give one (4, 4) pose a stamp, and at least one"
         )
     outside = (query < stamps[0]) | (query > stamps[-1])
     if not extrapolate and np.any(outside):
         raise DataError(
-            f"{np.count_nonzero(outside)} of {query.size} queries lie outside the trajectory's {stamps[0]} to {stamps[-1]} ns; "
-            "trim them or ask for extrapolation"
+            f"{np.count_nonzero(outside)} of {query.size} queries lie outside the trajectory ({stamps[0]} to "
+            f"{stamps[-1]} ns); trim them or ask for extrapolation"
         )
     before = np.clip(np.searchsorted(stamps, query, side="right") - 1, 0, max(len(stamps) - 2, 0))
     after = np.minimum(before + 1, len(stamps) - 1)

@@ -1,6 +1,7 @@
 """Directions in space: unit vectors (..., 3) with a tangent of two dimensions (..., 2) [rad], float64, batched.
 
-Made for the direction of gravity: two errors, not three. The tangent plane is spanned by `basis`; `retract` follows the great circle.
+Made for the direction of gravity: two errors, not three. The tangent plane is spanned by `basis`; `retract` follows
+the great circle.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ def project(v: ArrayLike) -> Array:
 def basis(x: ArrayLike) -> Array:
     """Return an orthonormal basis of the tangent plane at ``x``, (..., 3, 2) from (..., 3).
 
-    The columns and ``x`` form a right-handed frame. A fixed smooth function of ``x`` for every direction up to 60 degrees
-    above the horizon (T. Duff et al., "Building an orthonormal basis, revisited", JCGT 2017, with the seam moved there).
+    The columns and ``x`` form a right-handed frame. A fixed smooth function of ``x`` for every direction up to 60
+    degrees above the horizon (T. Duff et al., "Building an orthonormal basis, revisited", JCGT 2017, seam moved there).
     """
     v = np.asarray(x, dtype=np.float64)
     nx, ny, nz = v[..., 0], v[..., 1], v[..., 2]
@@ -51,7 +52,10 @@ def retract(x: ArrayLike, d: ArrayLike) -> Array:
 
 
 def local(x: ArrayLike, y: ArrayLike) -> Array:
-    """Return the d with ``retract(x, d) = y`` and ``|d|`` in [0, pi], (..., 2); along the first basis vector if opposite."""
+    """Return the d with ``retract(x, d) = y`` and ``|d|`` in [0, pi], (..., 2).
+
+    For opposite directions it lies along the first basis vector.
+    """
     v, w = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     tangent = (np.swapaxes(basis(v), -1, -2) @ w[..., None])[..., 0]
     sine = np.linalg.norm(tangent, axis=-1)

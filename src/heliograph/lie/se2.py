@@ -1,12 +1,12 @@
 """Rigid motions in the plane: 3x3 matrices, batched.
 
-Elements have shape ``(..., 3, 3)``, tangent vectors ``(..., 3)`` with the rotation first: ``(theta, x, y)`` [rad, m], all float64.
-Perturbations are on the right.
+Elements have shape ``(..., 3, 3)``, tangent vectors ``(..., 3)`` with the rotation first: ``(theta, x, y)`` [rad, m],
+all float64. Perturbations are on the right.
 
 References
 ----------
-.. [1] J. Sola, J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, appendix C (there the
-   rotation comes last).
+.. [1] J. Sola, J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, appendix C (there
+   the rotation comes last).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 def identity(batch: tuple[int, ...] = ()) -> Array:
     """Return identity motions, (*batch, 3, 3)."""
-    return np.broadcast_to(np.eye(3), (*batch, 3, 3)).copy()
+    return np.tile(np.eye(3), (*batch, 1, 1))
 
 
 def from_rotation_translation(R: ArrayLike, t: ArrayLike) -> Array:

@@ -1,7 +1,8 @@
 """Rigid motions in space: 4x4 matrices, batched.
 
-Elements have shape ``(..., 4, 4)``, tangent vectors ``(..., 6)`` with the rotation first: ``(theta_x, theta_y, theta_z, x, y, z)``
-[rad, m], all float64. Perturbations are on the right: ``T.retract(d) = T @ exp(d)``. Composition is ``@``.
+Elements have shape ``(..., 4, 4)``, tangent vectors ``(..., 6)`` with the rotation first:
+``(theta_x, theta_y, theta_z, x, y, z)`` [rad, m], all float64.
+Perturbations are on the right: ``T.retract(d) = T @ exp(d)``. Composition is ``@``.
 
 References
 ----------
@@ -37,7 +38,7 @@ Array = NDArray[np.float64]
 
 def identity(batch: tuple[int, ...] = ()) -> Array:
     """Return identity motions, (*batch, 4, 4)."""
-    return np.broadcast_to(np.eye(4), (*batch, 4, 4)).copy()
+    return np.tile(np.eye(4), (*batch, 1, 1))
 
 
 def from_rotation_translation(R: ArrayLike, t: ArrayLike) -> Array:
@@ -91,8 +92,8 @@ def inverse(T: ArrayLike) -> Array:
 def act(T: ArrayLike, points: ArrayLike) -> Array:
     """Return ``p_a = T_a_b @ p_b`` for points (..., 3).
 
-    One motion acts on any number of points; a batch of motions acts element by element, broadcast. Single-precision points
-    give a double-precision result.
+    One motion acts on any number of points; a batch of motions acts element by element, broadcast. Single-precision
+    points give a double-precision result.
     """
     m, p = np.asarray(T, dtype=np.float64), np.asarray(points)
     if m.ndim == 2:

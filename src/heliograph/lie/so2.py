@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 def identity(batch: tuple[int, ...] = ()) -> Array:
     """Return identity rotations, (*batch, 2, 2)."""
-    return np.broadcast_to(np.eye(2), (*batch, 2, 2)).copy()
+    return np.tile(np.eye(2), (*batch, 1, 1))
 
 
 def hat(phi: ArrayLike) -> Array:

@@ -1,7 +1,7 @@
 """Rotations in space: 3x3 matrices, batched.
 
-Every function broadcasts over leading axes: rotations have shape ``(..., 3, 3)``, tangent vectors ``(..., 3)`` [rad], all
-float64. Perturbations are on the right: ``R.retract(d) = R @ exp(d)``.
+Every function broadcasts over leading axes: rotations have shape ``(..., 3, 3)``, tangent vectors ``(..., 3)`` [rad],
+all float64. Perturbations are on the right: ``R.retract(d) = R @ exp(d)``.
 
 References
 ----------
@@ -11,7 +11,7 @@ References
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,11 +42,12 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+Scalar: TypeAlias = Any  # a float, or an array of one value an element of the batch
 
 
 def identity(batch: tuple[int, ...] = ()) -> Array:
     """Return identity rotations, (*batch, 3, 3)."""
-    return np.broadcast_to(np.eye(3), (*batch, 3, 3)).copy()
+    return np.tile(np.eye(3), (*batch, 1, 1))
 
 
 def hat(phi: ArrayLike) -> Array:
@@ -69,7 +70,7 @@ def vee(skew: ArrayLike) -> Array:
     return 0.5 * np.stack(twice, axis=-1)
 
 
-def _components(phi: ArrayLike) -> tuple[Any, Any, Any, Any]:
+def _components(phi: ArrayLike) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """Return x, y, z and the squared angle: floats for one vector (a third of the cost), arrays for a batch."""
     v = np.asarray(phi, dtype=np.float64)
     if v.ndim == 1:
@@ -79,7 +80,7 @@ def _components(phi: ArrayLike) -> tuple[Any, Any, Any, Any]:
     return x, y, z, x * x + y * y + z * z
 
 
-def _quadratic(x: Any, y: Any, z: Any, p: Any, q: Any) -> Array:
+def _quadratic(x: Scalar, y: Scalar, z: Scalar, p: Scalar, q: Scalar) -> Array:
     """Return ``I + p K + q K^2`` with ``K = hat(x, y, z)``: every map of this module has this form."""
     rows = (
         (1.0 - q * (y * y + z * z), q * x * y - p * z, q * x * z + p * y),
@@ -156,7 +157,7 @@ def local(R_a: ArrayLike, R_b: ArrayLike) -> Array:
 
 
 def from_quaternion(xyzw: ArrayLike) -> Array:
-    """Return the rotations of quaternions in (x, y, z, w) order, (..., 3, 3) from (..., 4); they need not be of unit length.
+    """Return the rotations of quaternions (x, y, z, w) of any length, (..., 3, 3) from (..., 4).
 
     Raises
     ------
@@ -212,17 +213,18 @@ def from_two_vectors(a: ArrayLike, b: ArrayLike) -> Array:
     DataError
         A vector is zero or not finite.
     """
-    a, b = np.broadcast_arrays(np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64))
-    lengths = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    u: Array = np.asarray(a, dtype=np.float64)
+    v: Array = np.asarray(b, dtype=np.float64)
+    lengths = np.linalg.norm(u, axis=-1) * np.linalg.norm(v, axis=-1)
     if not np.all((lengths > 0.0) & np.isfinite(lengths)):
         raise DataError("a direction needs a non-zero finite vector")
-    a = a / np.linalg.norm(a, axis=-1, keepdims=True)
-    b = b / np.linalg.norm(b, axis=-1, keepdims=True)
-    cross = np.cross(a, b)
+    u = u / np.linalg.norm(u, axis=-1, keepdims=True)
+    v = v / np.linalg.norm(v, axis=-1, keepdims=True)
+    cross = np.cross(u, v)
     sine = np.linalg.norm(cross, axis=-1, keepdims=True)
-    cosine = np.einsum("...i,...i->...", a, b)[..., None]
-    # Opposite: turn half round about any normal of a, here its cross product with the axis that it is farthest from.
-    normal = np.cross(a, np.eye(3)[np.argmin(np.abs(a), axis=-1)])
+    cosine = np.einsum("...i,...i->...", u, v)[..., None]
+    # Opposite: turn half round about any normal of u, here its cross product with the axis that it is farthest from.
+    normal = np.cross(u, np.eye(3)[np.argmin(np.abs(u), axis=-1)])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     opposite = (sine < 1e-12) & (cosine < 0.0)
     axis = np.where(opposite, normal, cross / np.where(sine > 0.0, sine, 1.0))
@@ -237,9 +239,10 @@ def from_rpy(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
 
 
 def to_rpy(R: ArrayLike) -> Array:
-    """Return (roll, pitch, yaw) with ``R = Rz(yaw) Ry(pitch) Rx(roll)``, (..., 3) [rad]: for people to read, not to compute with.
+    """Return (roll, pitch, yaw) with ``R = Rz(yaw) Ry(pitch) Rx(roll)``, (..., 3) [rad].
 
-    Pitch is in [-pi/2, pi/2]. At its ends only a combination of roll and yaw exists; roll is then 0.
+    For people to read, not to compute with. Pitch is in [-pi/2, pi/2]. At its ends only a combination of roll and yaw
+    exists; roll is then 0.
     """
     r = np.asarray(R, dtype=np.float64)
     level = np.hypot(r[..., 0, 0], r[..., 1, 0])
