@@ -1,4 +1,4 @@
-"""Simulated recordings with exact truth: worlds, motion, LiDAR, IMU, GNSS, scenarios, and files as drivers write them."""
+"""Simulated recordings with exact truth: worlds, motion, LiDAR, IMU, GNSS, and files as drivers write them."""
 
 from heliograph.sim.scenario import SCENARIOS, Scenario, find_scenario
 from heliograph.sim.simulate import Simulation, Truth, simulate

@@ -26,7 +26,7 @@ def ecef_to_geodetic(ecef: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Notes
     -----
-    The classical iteration, e.g. Hofmann-Wellenhof et al., GNSS (2008), section 8.2; it contracts by about 1/300 a step.
+    The classical iteration, e.g. Hofmann-Wellenhof et al., GNSS (2008), section 8.2; a step contracts by 1/300.
     """
     x, y, z = np.moveaxis(ecef, -1, 0)
     across = np.hypot(x, y)

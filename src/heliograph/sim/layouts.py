@@ -1,7 +1,7 @@
 """Point messages as the drivers write them: fields, offsets, order of the points, and what the stamps mean.
 
-The tables follow the drivers' own sources: ouster-ros (``os_point.h``), velodyne (``pointcloudXYZIRT``), HesaiLidar_ROS_2.0
-(``source_driver_ros2.hpp``), rslidar_sdk (``source_pointcloud_ros.hpp``), livox_ros_driver2 (``lddc.cpp``).
+The tables follow the drivers' own sources: ouster-ros (``os_point.h``), velodyne (``pointcloudXYZIRT``),
+HesaiLidar_ROS_2.0 (``source_driver_ros2.hpp``), rslidar_sdk (``source_pointcloud_ros.hpp``), livox_ros_driver2 (``lddc.cpp``).
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def _velodyne(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
 
 
 def _velodyne_negative(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
-    """The driver's default: the header has the last packet's stamp, so that ``time`` is not positive."""
+    """Do as the driver does by default: the header has the last packet's stamp, so that ``time`` is not positive."""
     fired = _Fired.of(sweep)
     last = int(sweep.offsets_ns[-1])
     time = (fired.offsets_ns - last) * 1e-9

@@ -131,8 +131,8 @@ def quaternion_xyzw(R: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Notes
     -----
-    The eigenvector of the largest eigenvalue of a symmetric matrix (I. Bar-Itzhack, J. Guidance 23(6), 2000): accurate for
-    every rotation, without case distinctions.
+    The eigenvector of the largest eigenvalue of a symmetric matrix (I. Bar-Itzhack, J. Guidance 23(6), 2000): accurate
+    for every rotation, without case distinctions.
     """
     K = np.empty((len(R), 4, 4))
     K[:, :3, :3] = R + np.transpose(R, (0, 2, 1)) - np.trace(R, axis1=1, axis2=2)[:, None, None] * np.eye(3)

@@ -52,7 +52,7 @@ class LidarModel:
         return np.round(np.arange(self.columns) * (self.period_ns / self.columns)).astype(np.int64)
 
     def directions(self) -> NDArray[np.float64]:
-        """Unit vectors of all rays in the lidar frame, (beams, columns, 3); row 0 is the highest beam."""
+        """Return unit vectors of all rays in the lidar frame, (beams, columns, 3); row 0 is the highest beam."""
         azimuth = np.pi - 2.0 * np.pi * np.arange(self.columns) / self.columns
         elevation = np.radians(np.linspace(self.elevation_deg[1], self.elevation_deg[0], self.beams))
         directions = np.empty((self.beams, self.columns, 3))

@@ -153,7 +153,7 @@ class Course:
         """Return points and unwrapped headings (M, 4) at equal distances near ``spacing``, and that distance."""
         dense, heading = self._rounded()
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense[:, :2], axis=0), axis=1))])
-        count = max(int(round(s[-1] / spacing)), _DEGREE + 1)
+        count = max(round(float(s[-1]) / spacing), _DEGREE + 1)
         where = np.linspace(0.0, s[-1], count + 1)
         columns = [np.interp(where, s, dense[:, i]) for i in range(3)]
         return np.stack([*columns, np.interp(where, s, heading)], axis=1), float(s[-1] / count)
@@ -265,7 +265,7 @@ class WalkedPath:
 
     @staticmethod
     def _sideways(yaw: Array, d_yaw: Array, dd_yaw: Array) -> tuple[Array, Array, Array]:
-        """Unit vector to the left of the path and its first two derivatives by time."""
+        """Return the unit vector to the left of the path and its first two derivatives by time."""
         zero = np.zeros_like(yaw)
         ahead = np.stack([np.cos(yaw), np.sin(yaw), zero], axis=1)
         left = np.stack([-np.sin(yaw), np.cos(yaw), zero], axis=1)

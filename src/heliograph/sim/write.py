@@ -176,7 +176,7 @@ def _write_bag(
 
 
 def _latched() -> Qos:
-    """The quality of service that late subscribers to /tf_static rely on."""
+    """Return the quality of service that late subscribers to /tf_static rely on."""
     forever = QosTime(sec=9223372036, nsec=854775807)
     return Qos(
         history=QosHistory.KEEP_LAST,
