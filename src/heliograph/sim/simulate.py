@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import GnssFix, ImuBatch, ImuNoise, Rig, Scan
+from heliograph.lie import se3, so3
 from heliograph.sim.geodesy import enu_to_geodetic
 from heliograph.sim.places import PLACES
-from heliograph.sim.rotation import euler_to_matrix, rigid
 from heliograph.sim.scenario import Mount, Scenario
 from heliograph.sim.sensors import ImuErrors, measure_ranges
 from heliograph.sim.trajectory import Motion, WalkedPath
@@ -43,8 +43,8 @@ class Mounting:
     @property
     def T_imu_lidar(self) -> NDArray[np.float64]:
         """Pose of the LiDAR in the IMU frame [m]."""
-        T: NDArray[np.float64] = rigid(self.R_body_imu.T, np.zeros(3)) @ self.T_body_lidar
-        return T
+        T_imu_body = se3.from_rotation_translation(self.R_body_imu.T, np.zeros(3))
+        return se3.compose(T_imu_body, self.T_body_lidar)
 
     @classmethod
     def draw(cls, mount: Mount, rng: np.random.Generator) -> Mounting:
@@ -52,18 +52,13 @@ class Mounting:
         arm, axis = rng.standard_normal((2, 3))
         arm *= rng.uniform(*mount.lever_arm) / np.linalg.norm(arm)
         angle = np.radians(rng.uniform(*mount.rotation_deg))
-        R_rig_lidar = _axis_angle(axis / np.linalg.norm(axis), float(angle))
-        R_body_rig = euler_to_matrix(np.radians(mount.rig_rpy_deg))
-        R_body_imu = R_body_rig @ euler_to_matrix(np.radians(mount.imu_rpy_deg))
-        return cls(R_body_imu=R_body_imu, T_body_lidar=rigid(R_body_rig @ R_rig_lidar, R_body_rig @ arm))
-
-
-def _axis_angle(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    """Rotation matrix about a unit ``axis`` (Rodrigues)."""
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    R: NDArray[np.float64] = np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
-    return R
+        R_rig_lidar = so3.exp(angle * axis / np.linalg.norm(axis))
+        R_body_rig = so3.from_rpy(*np.radians(mount.rig_rpy_deg))
+        R_body_imu = R_body_rig @ so3.from_rpy(*np.radians(mount.imu_rpy_deg))
+        return cls(
+            R_body_imu=R_body_imu,
+            T_body_lidar=se3.from_rotation_translation(R_body_rig @ R_rig_lidar, R_body_rig @ arm),
+        )
 
 
 class Truth:
@@ -84,7 +79,8 @@ class Truth:
 
     def motion(self, stamps_ns: NDArray[np.int64]) -> Motion:
         """Return the IMU's motion: world pose, velocity, acceleration, and body rate in IMU axes."""
-        body = self._path((np.atleast_1d(stamps_ns) - EPOCH_NS) * 1e-9 + self._begin)
+        seconds = (np.atleast_1d(stamps_ns) - EPOCH_NS).astype(np.float64) * 1e-9
+        body = self._path(seconds + self._begin)
         R_body_imu = self._mounting.R_body_imu
         return Motion(
             R_world_body=body.R_world_body @ R_body_imu,
@@ -100,8 +96,7 @@ class Truth:
 
     def lidar_pose(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return T_world_lidar, (M, 4, 4)."""
-        T: NDArray[np.float64] = self.pose(stamps_ns) @ self._mounting.T_imu_lidar
-        return T
+        return se3.compose(self.pose(stamps_ns), self._mounting.T_imu_lidar)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
