@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -252,24 +254,18 @@ class Simulation:
 
     def __iter__(self) -> Iterator[Scan | ImuBatch | GnssFix]:
         """Yield records in the order in which a recorder would have got them."""
-        gyro, accel = self.imu()
-        fixes = list(self.fixes())
-        done = 0
-        for sweep in self.sweeps():
-            until = int(np.searchsorted(self.imu_stamps_ns, sweep.end_ns, side="right"))
-            if until > done:
-                yield self._batch(gyro, accel, done, until)
-                done = until
-            while fixes and fixes[0].received_ns <= sweep.end_ns:
-                yield fixes.pop(0)
-            yield sweep.scan(point_times=self.scenario.point_times)
-        if done < len(gyro):
-            yield self._batch(gyro, accel, done, len(gyro))
-        yield from fixes
+        scans = (sweep.scan(point_times=self.scenario.point_times) for sweep in self.sweeps())
+        streams: tuple[Iterator[Scan | ImuBatch | GnssFix], ...] = (self._batches(), self.fixes(), scans)
+        yield from heapq.merge(*streams, key=lambda record: record.received_ns)
 
-    def _batch(self, gyro: NDArray[np.float64], accel: NDArray[np.float64], begin: int, end: int) -> ImuBatch:
-        stamps = self.imu_stamps_ns[begin:end]
-        return ImuBatch(stamps_ns=stamps, gyro=gyro[begin:end], accel=accel[begin:end], received_ns=int(stamps[-1]))
+    def _batches(self) -> Iterator[ImuBatch]:
+        """Yield the IMU samples in batches that end with the LiDAR's turns, so that none waits for a later scan."""
+        gyro, accel = self.imu()
+        ends = EPOCH_NS + _LIDAR_PHASE_NS + self.scenario.lidar.period_ns * np.arange(1, self.sweep_count() + 1)
+        cuts = np.searchsorted(self.imu_stamps_ns, ends, side="right")
+        for begin, end in pairwise(np.unique([0, *cuts, len(gyro)]).tolist()):
+            stamps = self.imu_stamps_ns[begin:end]
+            yield ImuBatch(stamps_ns=stamps, gyro=gyro[begin:end], accel=accel[begin:end], received_ns=int(stamps[-1]))
 
 
 def simulate(scenario: Scenario, seed: int, *, threads: int = 1) -> Simulation:
