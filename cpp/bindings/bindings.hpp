@@ -5,6 +5,8 @@
 #include <nanobind/ndarray.h>
 
 #include <memory>
+#include <span>
+#include <stdexcept>
 #include <vector>
 
 namespace heliograph {
@@ -20,6 +22,16 @@ using Poses = Array<const double, nb::shape<-1, 4, 4>>;
 using Stamps = Array<const int64_t, nb::shape<-1>>;
 using Offsets = Array<const int32_t, nb::shape<-1>>;
 
+using Floats = Array<const float, nb::shape<-1>>;
+using Matrix3 = Array<const double, nb::shape<3, 3>>;
+using Vector3 = Array<const double, nb::shape<3>>;
+using Rotations = Array<const double, nb::shape<-1, 3, 3>>;
+
+template <typename T, typename... Extra>
+std::span<const T> span_of(const Array<const T, Extra...>& array) {
+  return {array.data(), array.size()};
+}
+
 // Hands a vector's memory to NumPy without a copy.
 template <typename T, typename... Extra>
 nb::ndarray<nb::numpy, T, Extra...> to_numpy(std::vector<T>&& values, std::initializer_list<size_t> shape) {
@@ -29,6 +41,10 @@ nb::ndarray<nb::numpy, T, Extra...> to_numpy(std::vector<T>&& values, std::initi
   return nb::ndarray<nb::numpy, T, Extra...>(data, shape, owner);
 }
 
+void bind_cloud(nb::module_& m);
+void bind_imu(nb::module_& m);
+void bind_maps(nb::module_& m);
+void bind_registration(nb::module_& m);
 void bind_sim(nb::module_& m);
 
 }  // namespace heliograph

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from heliograph.config_checks import check_choice, check_range
+
 __all__ = ["CloudConfig", "FilterConfig", "ImuConfig", "InputConfig", "MapConfig", "OutputConfig", "RunConfig"]
 
 
@@ -42,6 +44,13 @@ class InputConfig:
     extrinsic: str = ""
     start: float = 0.0
     duration: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_choice(self, "point_time_unit", "", "s", "ms", "us", "ns")
+        check_choice(self, "point_time_reference", "", "start", "middle", "end", "absolute")
+        check_choice(self, "accel_unit", "", "m/s^2", "g")
+        check_choice(self, "gyro_unit", "", "rad/s", "deg/s")
+        check_range(self, "start", "duration", low=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,10 +91,24 @@ class OutputConfig:
     map_format: str = "ply"
     body: str = "imu"
 
+    def __post_init__(self) -> None:
+        check_range(self, "map_voxel", low=0.0)
+        check_choice(self, "map_format", "ply", "pcd", "laz")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
-    """All of a run. ``sensors`` is ``"auto"``, ``"lidar,imu"``, ``"lidar"`` or ``"imu"``; ``threads`` 0 means min(2, cores)."""
+    """All of a run.
+
+    Parameters
+    ----------
+    odometry : str
+        ``"filter"``.
+    sensors : str
+        ``"auto"`` (what the recording holds), ``"lidar,imu"``, ``"lidar"`` or ``"imu"``.
+    threads : int
+        0 means the smaller of 2 and the number of cores.
+    """
 
     odometry: str = "filter"
     sensors: str = "auto"
@@ -96,3 +119,8 @@ class RunConfig:
     map: MapConfig = field(default_factory=MapConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
+
+    def __post_init__(self) -> None:
+        check_choice(self, "odometry", "filter")
+        check_choice(self, "sensors", "auto", "lidar,imu", "lidar", "imu")
+        check_range(self, "threads", low=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from heliograph.errors import DataError
 
@@ -13,7 +13,7 @@ __all__ = ["frozen"]
 
 
 def frozen(
-    name: str, value: Any, dtype: DTypeLike, shape: tuple[int | None, ...], *, finite: bool = False
+    name: str, value: ArrayLike, dtype: DTypeLike, shape: tuple[int | None, ...], *, finite: bool = False
 ) -> NDArray[Any]:
     """Return a read-only C-contiguous view of ``value``, or raise `DataError` if it is not what the record promises.
 
@@ -30,7 +30,7 @@ def frozen(
     finite : bool
         Refuse NaN and infinity.
     """
-    array = np.asarray(value)
+    array: NDArray[Any] = np.asarray(value)
     if array.dtype != np.dtype(dtype):
         raise DataError(f"{name} has dtype {array.dtype}, expected {np.dtype(dtype)}; convert it explicitly")
     if array.ndim != len(shape) or any(

@@ -60,7 +60,8 @@ class ScanResult:
     rms : float
         Robust RMS of the point-to-plane residuals after the update [m].
     eigenvalues_rotation, eigenvalues_translation : (3,) float64
-        Of the per-measurement information matrix, ascending [1/rad^2 m^2 scaled to 1 m lever; 1]. In [0, 1] for translation.
+        Of the per-measurement information matrix, ascending [1/rad^2 m^2 scaled to 1 m lever; 1].
+        In [0, 1] for translation.
     weak_direction : (3,) float64
         Unit vector along the least observed translation, odom frame.
     timings : mapping

@@ -18,8 +18,8 @@ __all__ = ["RawCloud", "RawFix", "RawImu", "RawMessage", "RawSource", "RawTransf
 class RawCloud:
     """A point cloud as named columns (views into the message where possible; not yet filtered for NaN).
 
-    ``layout`` names how it was stored (``"PointCloud2"``, ``"livox/CustomMsg"``, ``"velodyne-bin"`` ...), so that inference
-    can recognise a driver.
+    ``layout`` names how it was stored (``"PointCloud2"``, ``"livox/CustomMsg"``, ``"velodyne-bin"`` ...), so that
+    inference can recognise a driver.
     """
 
     topic: str
@@ -76,7 +76,10 @@ RawMessage = RawCloud | RawImu | RawFix | RawTransform
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicInfo:
-    """A topic of the container: ``kind`` is ``"lidar"``, ``"imu"``, ``"gnss"``, ``"tf"``, ``"lidar-packets"`` or ``"other"``."""
+    """A topic of the container.
+
+    ``kind`` is ``"lidar"``, ``"imu"``, ``"gnss"``, ``"tf"``, ``"lidar-packets"`` or ``"other"``.
+    """
 
     name: str
     message_type: str
@@ -94,7 +97,8 @@ class RawSource(Protocol):
     def messages(self, topics: frozenset[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics`` in the order in which they were received.
 
-        Damage (a truncated file) ends the iteration and is added to ``events``; it never raises after the first message.
+        Damage (a truncated file) ends the iteration and is added to ``events``; it never raises after the first
+        message.
         """
         ...
 

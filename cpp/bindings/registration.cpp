@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: MIT
+#include "bindings/bindings.hpp"
+#include "registration/point_to_plane.hpp"
+
+namespace heliograph {
+
+namespace {
+
+nb::tuple to_tuple(const NormalEquations& sums, int columns) {
+  const auto n = static_cast<size_t>(columns);
+  std::vector<double> information(sums.information, sums.information + n * n);
+  std::vector<double> gradient(sums.gradient, sums.gradient + n);
+  return nb::make_tuple(to_numpy<double>(std::move(information), {n, n}), to_numpy<double>(std::move(gradient), {n}),
+                        sums.weight, sums.robust_weight, sums.square, sums.cost, sums.matches, sums.fallback_matches);
+}
+
+void check(const MatchSettings& s) {
+  if (s.columns != 6 && s.columns != 12) throw std::invalid_argument("columns must be 6 or 12");
+  if (!(s.sigma > 0.0) || s.fallback_stride < 0) throw std::invalid_argument("sigma and fallback_stride must be positive");
+}
+
+MatchSettings settings(double gate, double kernel, double sigma, int stride, double range, int columns) {
+  const MatchSettings s{gate, kernel, sigma, stride, range, columns};
+  check(s);
+  return s;
+}
+
+nb::tuple planes(const VoxelMap& map, const Points& points, const Matrix4& T_odom_body, const Matrix4& T_body_lidar,
+                 double gate, double kernel, double sigma, int fallback_stride, double fallback_range, int columns,
+                 int threads) {
+  const MatchSettings s = settings(gate, kernel, sigma, fallback_stride, fallback_range, columns);
+  NormalEquations sums;
+  {
+    nb::gil_scoped_release release;
+    sums = match_planes(map, span_of(points), T_odom_body.data(), T_body_lidar.data(), s, threads);
+  }
+  return to_tuple(sums, columns);
+}
+
+nb::tuple nearest_points(const VoxelMap& map, const Points& points, const Matrix4& T_odom_body, double gate,
+                         double kernel, double sigma, int threads) {
+  const MatchSettings s = settings(gate, kernel, sigma, 0, gate, 6);
+  NormalEquations sums;
+  {
+    nb::gil_scoped_release release;
+    sums = match_points(map, span_of(points), T_odom_body.data(), s, threads);
+  }
+  return to_tuple(sums, 6);
+}
+
+nb::tuple query(const VoxelMap& map, const Vectors& points, double gate, int fallback_stride, double fallback_range) {
+  const size_t n = points.shape(0);
+  std::vector<float> normal(3 * n), variance(n);
+  std::vector<double> point(3 * n);
+  std::vector<uint8_t> source(n);
+  {
+    nb::gil_scoped_release release;
+    query_planes(map, span_of(points), settings(gate, 0.0, 1.0, fallback_stride, fallback_range, 6),
+                 {normal.data(), point.data(), variance.data(), source.data()});
+  }
+  return nb::make_tuple(to_numpy<float>(std::move(normal), {n, 3}), to_numpy<double>(std::move(point), {n, 3}),
+                        to_numpy<float>(std::move(variance), {n}), to_numpy<uint8_t>(std::move(source), {n}));
+}
+
+}  // namespace
+
+void bind_registration(nb::module_& m) {
+  using namespace nb::literals;
+  m.def("match_planes", &planes, "map"_a, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(),
+        "T_body_lidar"_a.noconvert(), "gate"_a, "kernel"_a, "sigma"_a, "fallback_stride"_a, "fallback_range"_a,
+        "columns"_a, "threads"_a);
+  m.def("match_points", &nearest_points, "map"_a, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "gate"_a,
+        "kernel"_a, "sigma"_a, "threads"_a);
+  m.def("query_planes", &query, "map"_a, "points_odom"_a.noconvert(), "gate"_a, "fallback_stride"_a, "fallback_range"_a);
+}
+
+}  // namespace heliograph

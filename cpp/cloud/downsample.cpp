@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: MIT
+#include "cloud/downsample.hpp"
+
+#include <cmath>
+
+#include "util/flat_index.hpp"
+
+namespace heliograph {
+
+std::vector<int32_t> voxel_downsample(std::span<const float> points, float leaf) {
+  const size_t count = points.size() / 3;
+  const float inverse = 1.0F / leaf;
+  FlatIndex seen(14);
+  std::vector<int32_t> kept;
+  kept.reserve(count / 4);
+  for (size_t k = 0; k < count; ++k) {
+    const float* p = points.data() + 3 * k;
+    if (!std::isfinite(p[0] + p[1] + p[2])) continue;
+    const Cube cube{static_cast<int64_t>(std::floor(p[0] * inverse)), static_cast<int64_t>(std::floor(p[1] * inverse)),
+                    static_cast<int64_t>(std::floor(p[2] * inverse))};
+    if (seen.insert(pack(0, cube), 0).second) kept.push_back(static_cast<int32_t>(k));
+  }
+  return kept;
+}
+
+std::vector<int32_t> range_gate(std::span<const float> points, float min_range, float max_range) {
+  const size_t count = points.size() / 3;
+  const float low = min_range * min_range, high = max_range * max_range;
+  std::vector<int32_t> kept;
+  kept.reserve(count);
+  for (size_t k = 0; k < count; ++k) {
+    const float* p = points.data() + 3 * k;
+    const float r2 = p[0] * p[0] + p[1] * p[1] + p[2] * p[2];
+    if (r2 >= low && r2 <= high) kept.push_back(static_cast<int32_t>(k));  // false for NaN
+  }
+  return kept;
+}
+
+}  // namespace heliograph

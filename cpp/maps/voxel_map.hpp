@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: MIT
+// The local map: cubes on several levels, each with running moments and the plane that they make.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "maps/point_grid.hpp"
+#include "util/flat_index.hpp"
+
+namespace heliograph {
+
+struct VoxelMapSettings {
+  double voxel;           // edge of the finest cube [m]; each level doubles it
+  int levels;             // 1 to 8
+  int min_points;         // a plane needs as many
+  int max_points;         // a cube is frozen from there on
+  double max_thickness;   // largest standard deviation across a plane [m]
+  double min_spread;      // smallest standard deviation along it, as a share of the cube's edge
+  double point_spacing;   // of the raw points kept for the nearest-neighbour fallback [m]
+};
+
+// What a query reads: one half of a cache line.
+struct Plane {
+  float normal[3];
+  float centroid[3];   // relative to the cube's centre
+  float variance;      // of the centroid across the plane [m^2]; negative: no plane
+  float inv_spread;    // 1 / smaller in-plane variance [1/m^2]: how fast the plane's uncertainty grows away from it
+};
+
+struct Moments {
+  uint64_t key;
+  float count;
+  float fitted;        // count at the last fit
+  float sum[3];        // relative to the cube's centre
+  float outer[6];      // xx xy xz yy yz zz
+};
+
+class VoxelMap {
+ public:
+  explicit VoxelMap(const VoxelMapSettings& settings);
+
+  // Adds points of the body frame at pose T_odom_body (row-major 4x4) and refits the planes that changed enough.
+  void insert(std::span<const float> points_body, const double* T_odom_body);
+
+  // Keeps the cubes within `radius` of `centre`, and of those at most `max_voxels`, the nearest.
+  void prune(const double* centre, double radius, size_t max_voxels);
+
+  size_t size() const { return planes_.size(); }
+  size_t bytes() const;
+  const VoxelMapSettings& settings() const { return settings_; }
+  double edge(uint64_t level) const { return settings_.voxel * static_cast<double>(uint64_t{1} << level); }
+  const FlatIndex& index() const { return index_; }
+  const std::vector<Plane>& planes() const { return planes_; }
+  const std::vector<Moments>& moments() const { return moments_; }
+  const PointGrid& points() const { return points_; }
+
+ private:
+  struct Delta;
+  std::vector<Delta> gather(std::span<const float> points_body, const double* T_odom_body);
+  void add(const Delta& delta, uint64_t level);
+  void refit(uint32_t id);
+
+  VoxelMapSettings settings_;
+  FlatIndex index_;
+  std::vector<Plane> planes_;
+  std::vector<Moments> moments_;
+  PointGrid points_;
+  std::vector<uint32_t> touched_;
+};
+
+}  // namespace heliograph

@@ -1,0 +1,317 @@
+// SPDX-License-Identifier: MIT
+// Compiled once for each instruction set, in a translation unit of its own. Everything here has internal linkage and no
+// library template is instantiated, so that no AVX2 code can be merged into the baseline build by the linker.
+#include <cmath>
+#include <cstdint>
+
+#include "registration/match_view.hpp"
+
+namespace heliograph {
+namespace {
+
+struct FoundPlane {
+  float normal[3];
+  float offset[3];  // query minus a point of the plane
+  float variance;   // of the plane at the query, across it [m^2]
+  uint8_t source;   // 0 none, 1 + level, 255 neighbours
+};
+
+inline uint64_t kernel_mix(uint64_t key) {
+  key ^= key >> 32;
+  key *= 0xd6e8feb86659fd93ULL;
+  key ^= key >> 32;
+  key *= 0xd6e8feb86659fd93ULL;
+  return key ^ (key >> 32);
+}
+
+inline uint64_t kernel_pack(uint64_t level, int64_t x, int64_t y, int64_t z) {
+  return (level << 60) | ((static_cast<uint64_t>(x + 524288) & 0xfffffU) << 40) |
+         ((static_cast<uint64_t>(y + 524288) & 0xfffffU) << 20) | (static_cast<uint64_t>(z + 524288) & 0xfffffU);
+}
+
+inline bool find(const IndexView& index, uint64_t key, uint32_t* value) {
+  for (uint64_t i = kernel_mix(key) & index.mask;; i = (i + 1) & index.mask) {
+    const SlotView slot = index.slots[i];
+    if (slot.key == key) {
+      *value = slot.value;
+      return true;
+    }
+    if (slot.key == ~uint64_t{0}) return false;
+  }
+}
+
+// The finest plane whose cube holds q and whose distance passes the gate.
+inline bool find_plane(const MapView& map, const double* q, float gate, FoundPlane* out) {
+  const double inverse = 1.0 / map.voxel;
+  const auto x = static_cast<int64_t>(std::floor(q[0] * inverse));
+  const auto y = static_cast<int64_t>(std::floor(q[1] * inverse));
+  const auto z = static_cast<int64_t>(std::floor(q[2] * inverse));
+  double edge = map.voxel;
+  for (int level = 0; level < map.levels; ++level, edge *= 2.0) {
+    const int64_t cx = x >> level, cy = y >> level, cz = z >> level;
+    uint32_t id = 0;
+    if (!find(map.voxels, kernel_pack(static_cast<uint64_t>(level), cx, cy, cz), &id)) continue;
+    const PlaneView& plane = map.planes[id];
+    if (plane.variance < 0.0F) continue;
+    const float dx = static_cast<float>(q[0] - (static_cast<double>(cx) + 0.5) * edge) - plane.centroid[0];
+    const float dy = static_cast<float>(q[1] - (static_cast<double>(cy) + 0.5) * edge) - plane.centroid[1];
+    const float dz = static_cast<float>(q[2] - (static_cast<double>(cz) + 0.5) * edge) - plane.centroid[2];
+    const float r = plane.normal[0] * dx + plane.normal[1] * dy + plane.normal[2] * dz;
+    if (r > gate || r < -gate) continue;
+    out->normal[0] = plane.normal[0];
+    out->normal[1] = plane.normal[1];
+    out->normal[2] = plane.normal[2];
+    out->offset[0] = dx;
+    out->offset[1] = dy;
+    out->offset[2] = dz;
+    out->variance = plane.variance * (1.0F + (dx * dx + dy * dy + dz * dz - r * r) * plane.inv_spread);
+    out->source = static_cast<uint8_t>(1 + level);
+    return true;
+  }
+  return false;
+}
+
+constexpr int kNeighbours = 5;
+
+struct Nearest {
+  float distance2[kNeighbours];
+  float offset[kNeighbours][3];  // neighbour minus query
+  int count;
+};
+
+inline void keep_nearest(Nearest* best, float d2, float dx, float dy, float dz) {
+  if (best->count == kNeighbours && d2 >= best->distance2[kNeighbours - 1]) return;
+  int k = best->count < kNeighbours ? best->count++ : kNeighbours - 1;
+  for (; k > 0 && best->distance2[k - 1] > d2; --k) {
+    best->distance2[k] = best->distance2[k - 1];
+    for (int i = 0; i < 3; ++i) best->offset[k][i] = best->offset[k - 1][i];
+  }
+  best->distance2[k] = d2;
+  best->offset[k][0] = dx;
+  best->offset[k][1] = dy;
+  best->offset[k][2] = dz;
+}
+
+// The nearest stored points among the 27 cubes around q, nearer than `range`.
+inline void find_nearest(const MapView& map, const double* q, float range, Nearest* best) {
+  best->count = 0;
+  const double size = map.point_size;
+  int64_t c[3];
+  for (int i = 0; i < 3; ++i) c[i] = static_cast<int64_t>(std::floor(q[i] / size));
+  for (int n = 0; n < 27; ++n) {
+    const int64_t x = c[0] + n % 3 - 1, y = c[1] + (n / 3) % 3 - 1, z = c[2] + n / 9 - 1;
+    uint32_t id = 0;
+    if (!find(map.point_index, kernel_pack(15, x, y, z), &id)) continue;
+    const BucketView& bucket = map.buckets[id];
+    const float ox = static_cast<float>((static_cast<double>(x) + 0.5) * size - q[0]);
+    const float oy = static_cast<float>((static_cast<double>(y) + 0.5) * size - q[1]);
+    const float oz = static_cast<float>((static_cast<double>(z) + 0.5) * size - q[2]);
+    for (uint32_t k = 0; k < bucket.count; ++k) {
+      const float dx = ox + bucket.xyz[3 * k], dy = oy + bucket.xyz[3 * k + 1], dz = oz + bucket.xyz[3 * k + 2];
+      const float d2 = dx * dx + dy * dy + dz * dz;
+      if (d2 <= range * range) keep_nearest(best, d2, dx, dy, dz);
+    }
+  }
+}
+
+// Unit eigenvector of the smallest eigenvalue of a symmetric 3x3 (xx xy xz yy yz zz), and the eigenvalues ascending.
+inline bool smallest_eigenvector(const double* m, double* vector, double* values) {
+  const double mean = (m[0] + m[3] + m[5]) / 3.0;
+  const double a = m[0] - mean, d = m[3] - mean, f = m[5] - mean;
+  const double p2 = (a * a + d * d + f * f + 2.0 * (m[1] * m[1] + m[2] * m[2] + m[4] * m[4])) / 6.0;
+  if (!(p2 > 0.0)) return false;
+  const double p = std::sqrt(p2);
+  const double det = a * (d * f - m[4] * m[4]) - m[1] * (m[1] * f - m[4] * m[2]) + m[2] * (m[1] * m[4] - d * m[2]);
+  double cosine = 0.5 * det / (p2 * p);
+  cosine = cosine > 1.0 ? 1.0 : (cosine < -1.0 ? -1.0 : cosine);
+  const double angle = std::acos(cosine) / 3.0;
+  values[2] = mean + 2.0 * p * std::cos(angle);
+  values[0] = mean + 2.0 * p * std::cos(angle + 2.0943951023931953);
+  values[1] = 3.0 * mean - values[0] - values[2];
+  const double xx = m[0] - values[0], yy = m[3] - values[0], zz = m[5] - values[0];
+  const double rows[3][3] = {{xx, m[1], m[2]}, {m[1], yy, m[4]}, {m[2], m[4], zz}};
+  double longest = 0.0;
+  for (int i = 0; i < 3; ++i) {
+    const double* u = rows[i];
+    const double* v = rows[(i + 1) % 3];
+    const double cross[3] = {u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]};
+    const double length = cross[0] * cross[0] + cross[1] * cross[1] + cross[2] * cross[2];
+    if (length <= longest) continue;
+    longest = length;
+    const double scale = 1.0 / std::sqrt(length);
+    for (int k = 0; k < 3; ++k) vector[k] = scale * cross[k];
+  }
+  return longest > 0.0;
+}
+
+// A plane through the five nearest stored points, where they lie on one.
+inline bool find_neighbour_plane(const MapView& map, const double* q, float gate, float range, FoundPlane* out) {
+  Nearest best;
+  find_nearest(map, q, range, &best);
+  if (best.count < kNeighbours) return false;
+  double mean[3] = {0.0, 0.0, 0.0};
+  for (int k = 0; k < kNeighbours; ++k)
+    for (int i = 0; i < 3; ++i) mean[i] += best.offset[k][i] / kNeighbours;
+  double m[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+  for (int k = 0; k < kNeighbours; ++k) {
+    const double x = best.offset[k][0] - mean[0], y = best.offset[k][1] - mean[1], z = best.offset[k][2] - mean[2];
+    m[0] += x * x / kNeighbours;
+    m[1] += x * y / kNeighbours;
+    m[2] += x * z / kNeighbours;
+    m[3] += y * y / kNeighbours;
+    m[4] += y * z / kNeighbours;
+    m[5] += z * z / kNeighbours;
+  }
+  double normal[3], values[3];
+  if (!smallest_eigenvector(m, normal, values)) return false;
+  const double thickness2 = map.max_thickness * map.max_thickness;
+  if (values[0] > thickness2 || values[1] < 4.0 * values[0] || values[1] < 1e-3) return false;
+  for (int k = 0; k < kNeighbours; ++k) {
+    double r = 0.0;
+    for (int i = 0; i < 3; ++i) r += normal[i] * (best.offset[k][i] - mean[i]);
+    if (r * r > 9.0 * thickness2) return false;
+  }
+  double r = 0.0, d2 = 0.0;
+  for (int i = 0; i < 3; ++i) {
+    r -= normal[i] * mean[i];
+    d2 += mean[i] * mean[i];
+    out->normal[i] = static_cast<float>(normal[i]);
+    out->offset[i] = static_cast<float>(-mean[i]);
+  }
+  if (r > gate || r < -gate) return false;
+  // Five points tell little about their own spread: the thickness allowed stands in for it.
+  out->variance = static_cast<float>(thickness2 / kNeighbours * (1.0 + (d2 - r * r) / values[1]));
+  out->source = 255;
+  return true;
+}
+
+inline void to_odom(const double* T, const float* p, double* q) {
+  const double x = p[0], y = p[1], z = p[2];
+  q[0] = T[0] * x + T[1] * y + T[2] * z + T[3];
+  q[1] = T[4] * x + T[5] * y + T[6] * z + T[7];
+  q[2] = T[8] * x + T[9] * y + T[10] * z + T[11];
+}
+
+inline void rotate_back(const double* T, const double* n, double* out) {
+  for (int i = 0; i < 3; ++i) out[i] = T[i] * n[0] + T[4 + i] * n[1] + T[8 + i] * n[2];
+}
+
+// Row of the residual n.(R p + t - c) by (rotation, position[, mounting rotation, lever arm]), right perturbations.
+inline void jacobian_row(const MatchInput& in, const float* p, const double* n, double* J) {
+  double m[3];  // the normal in the body frame
+  rotate_back(in.T_odom_body, n, m);
+  J[0] = p[1] * m[2] - p[2] * m[1];
+  J[1] = p[2] * m[0] - p[0] * m[2];
+  J[2] = p[0] * m[1] - p[1] * m[0];
+  J[3] = n[0];
+  J[4] = n[1];
+  J[5] = n[2];
+  if (in.columns == 6) return;
+  const double* E = in.T_body_lidar;
+  const double d[3] = {p[0] - E[3], p[1] - E[7], p[2] - E[11]};
+  double l[3], k[3];
+  rotate_back(E, d, l);
+  rotate_back(E, m, k);
+  J[6] = l[1] * k[2] - l[2] * k[1];
+  J[7] = l[2] * k[0] - l[0] * k[2];
+  J[8] = l[0] * k[1] - l[1] * k[0];
+  J[9] = m[0];
+  J[10] = m[1];
+  J[11] = m[2];
+}
+
+inline void accumulate(const double* J, int columns, double r, double w, double inv_var, NormalSums* sums) {
+  const double scale = w * inv_var;
+  for (int i = 0; i < columns; ++i) {
+    const double s = scale * J[i];
+    sums->gradient[i] += s * r;
+    for (int j = i; j < columns; ++j) sums->information[12 * i + j] += s * J[j];
+  }
+  sums->weight += scale;
+  sums->robust_weight += w;
+  sums->square += w * r * r;
+}
+
+// Geman-McClure: rho = r^2 c^2 / (c^2 + r^2) / 2, w = (c^2 / (c^2 + r^2))^2.
+inline double robust_weight(double r, double kernel) {
+  if (kernel <= 0.0) return 1.0;
+  const double share = kernel * kernel / (kernel * kernel + r * r);
+  return share * share;
+}
+
+inline double robust_cost(double r, double kernel) {
+  if (kernel <= 0.0) return 0.5 * r * r;
+  return 0.5 * r * r * kernel * kernel / (kernel * kernel + r * r);
+}
+
+inline void planes_range(const MatchInput& in, uint64_t begin, uint64_t end, NormalSums* sums) {
+  const auto gate = static_cast<float>(in.gate);
+  int unmatched = 0;
+  for (uint64_t k = begin; k < end; ++k) {
+    const float* p = in.points + 3 * k;
+    double q[3];
+    to_odom(in.T_odom_body, p, q);
+    FoundPlane plane;
+    bool fallback = false;
+    if (!find_plane(in.map, q, gate, &plane)) {
+      if (in.fallback_stride == 0 || unmatched++ % in.fallback_stride != 0) continue;
+      if (!find_neighbour_plane(in.map, q, gate, static_cast<float>(in.fallback_range), &plane)) continue;
+      fallback = true;
+    }
+    const double n[3] = {plane.normal[0], plane.normal[1], plane.normal[2]};
+    const double r = n[0] * plane.offset[0] + n[1] * plane.offset[1] + n[2] * plane.offset[2];
+    const double inv_var = 1.0 / (in.sigma * in.sigma + static_cast<double>(plane.variance));
+    double J[12];
+    jacobian_row(in, p, n, J);
+    accumulate(J, in.columns, r, robust_weight(r, in.kernel), inv_var, sums);
+    sums->cost += robust_cost(r, in.kernel) * inv_var;
+    sums->matches += 1;
+    sums->fallback_matches += fallback ? 1 : 0;
+  }
+}
+
+inline void points_range(const MatchInput& in, uint64_t begin, uint64_t end, NormalSums* sums) {
+  for (uint64_t k = begin; k < end; ++k) {
+    const float* p = in.points + 3 * k;
+    double q[3];
+    to_odom(in.T_odom_body, p, q);
+    Nearest best;
+    find_nearest(in.map, q, static_cast<float>(in.gate), &best);
+    if (best.count == 0) continue;
+    const double inv_var = 1.0 / (in.sigma * in.sigma);
+    const double distance = std::sqrt(static_cast<double>(best.distance2[0]));
+    const double w = robust_weight(distance, in.kernel);
+    for (int i = 0; i < 3; ++i) {
+      const double n[3] = {i == 0 ? 1.0 : 0.0, i == 1 ? 1.0 : 0.0, i == 2 ? 1.0 : 0.0};
+      double J[12];
+      jacobian_row(in, p, n, J);
+      accumulate(J, in.columns, -static_cast<double>(best.offset[0][i]), w, inv_var, sums);
+    }
+    sums->cost += robust_cost(distance, in.kernel) * inv_var;
+    sums->matches += 1;
+  }
+}
+
+inline void query_range(const MatchInput& in, const double* points, uint64_t begin, uint64_t end, float* normal,
+                        double* point, float* variance, uint8_t* source) {
+  int unmatched = 0;
+  for (uint64_t k = begin; k < end; ++k) {
+    const double* q = points + 3 * k;
+    FoundPlane plane;
+    source[k] = 0;
+    if (!find_plane(in.map, q, static_cast<float>(in.gate), &plane)) {
+      if (in.fallback_stride == 0 || unmatched++ % in.fallback_stride != 0) continue;
+      if (!find_neighbour_plane(in.map, q, static_cast<float>(in.gate), static_cast<float>(in.fallback_range), &plane))
+        continue;
+    }
+    for (int i = 0; i < 3; ++i) {
+      normal[3 * k + static_cast<uint64_t>(i)] = plane.normal[i];
+      point[3 * k + static_cast<uint64_t>(i)] = q[i] - plane.offset[i];
+    }
+    variance[k] = plane.variance;
+    source[k] = plane.source;
+  }
+}
+
+}  // namespace
+}  // namespace heliograph

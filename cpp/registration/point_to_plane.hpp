@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: MIT
+// The registration's one hot loop: each point finds its plane and adds its residual to the normal equations.
+#pragma once
+#include <cstdint>
+#include <span>
+
+#include "maps/voxel_map.hpp"
+
+namespace heliograph {
+
+constexpr int kMaxColumns = 12;  // rotation 3, position 3, mounting rotation 3, lever arm 3
+
+struct MatchSettings {
+  double gate;            // largest residual of a match [m]
+  double kernel;          // scale of the Geman-McClure kernel [m]; 0: least squares
+  double sigma;           // of one range measurement across its plane [m]
+  int fallback_stride;    // of the points without a plane, each such one asks for its neighbours; 0: none does
+  double fallback_range;  // farthest neighbour [m]
+  int columns;            // 6, or 12 with the mounting
+};
+
+// Sum over matches of J^T w J / s^2 and J^T w r / s^2.
+struct NormalEquations {
+  double information[kMaxColumns * kMaxColumns] = {};  // row-major with `columns` columns in use
+  double gradient[kMaxColumns] = {};
+  double weight = 0.0;       // sum of w / s^2
+  double robust_weight = 0.0;  // sum of w
+  double square = 0.0;       // sum of w r^2
+  double cost = 0.0;         // sum of rho(r) / s^2
+  int64_t matches = 0;
+  int64_t fallback_matches = 0;
+};
+
+// points_body: (N, 3) de-skewed; T_odom_body, T_body_lidar: row-major 4x4 (the latter is read when columns is 12).
+NormalEquations match_planes(const VoxelMap& map, std::span<const float> points_body, const double* T_odom_body,
+                             const double* T_body_lidar, const MatchSettings& settings, int threads);
+
+// The textbook's comparison: the nearest stored point instead of a plane.
+NormalEquations match_points(const VoxelMap& map, std::span<const float> points_body, const double* T_odom_body,
+                             const MatchSettings& settings, int threads);
+
+// The plane of each point of the odom frame, if any: normal (N, 3), point on it (N, 3), variance across it at the query
+// (N,), and where it came from (N,): 0 none, 1 + level, or 255 the neighbours.
+struct PlaneQuery {
+  float* normal;
+  double* point;
+  float* variance;
+  uint8_t* source;
+};
+void query_planes(const VoxelMap& map, std::span<const double> points_odom, const MatchSettings& settings, PlaneQuery out);
+
+}  // namespace heliograph

@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: MIT
+// Open-addressing map from voxel keys to pool indices: one probe is one cache line, entries are never removed singly.
+#pragma once
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include "util/voxel_key.hpp"
+
+namespace heliograph {
+
+class FlatIndex {
+ public:
+  struct Slot {
+    uint64_t key;
+    uint32_t value;
+    uint32_t unused;
+  };
+
+  explicit FlatIndex(size_t capacity_log2 = 12) { reset(capacity_log2); }
+
+  // The value of `key`, inserting `value` first when it is new; second tells which.
+  std::pair<uint32_t, bool> insert(uint64_t key, uint32_t value) {
+    if (2 * (size_ + 1) > slots_.size()) grow();
+    for (uint64_t i = mix(key) & mask_;; i = (i + 1) & mask_) {
+      if (slots_[i].key == key) return {slots_[i].value, false};
+      if (slots_[i].key == kNoKey) {
+        slots_[i] = {key, value, 0};
+        ++size_;
+        return {value, true};
+      }
+    }
+  }
+
+  void prefetch(uint64_t key) const { __builtin_prefetch(slots_.data() + (mix(key) & mask_), 1); }
+
+  void clear() {
+    for (Slot& slot : slots_) slot.key = kNoKey;
+    size_ = 0;
+  }
+
+  size_t size() const { return size_; }
+  const Slot* slots() const { return slots_.data(); }
+  uint64_t mask() const { return mask_; }
+  size_t bytes() const { return slots_.size() * sizeof(Slot); }
+
+ private:
+  void reset(size_t capacity_log2) {
+    slots_.assign(size_t{1} << capacity_log2, Slot{kNoKey, 0, 0});
+    mask_ = slots_.size() - 1;
+    size_ = 0;
+  }
+
+  void grow() {
+    std::vector<Slot> old = std::move(slots_);
+    slots_.assign(2 * old.size(), Slot{kNoKey, 0, 0});
+    mask_ = slots_.size() - 1;
+    for (const Slot& slot : old) {
+      if (slot.key == kNoKey) continue;
+      uint64_t i = mix(slot.key) & mask_;
+      while (slots_[i].key != kNoKey) i = (i + 1) & mask_;
+      slots_[i] = slot;
+    }
+  }
+
+  std::vector<Slot> slots_;
+  uint64_t mask_ = 0;
+  size_t size_ = 0;
+};
+
+}  // namespace heliograph

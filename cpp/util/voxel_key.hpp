@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: MIT
+// Integer cubes of space as 64-bit keys, and the hash that spreads them.
+#pragma once
+#include <cmath>
+#include <cstdint>
+
+namespace heliograph {
+
+constexpr uint64_t kNoKey = ~uint64_t{0};
+constexpr int kKeyBits = 20;
+constexpr int64_t kKeyOffset = int64_t{1} << (kKeyBits - 1);
+constexpr uint64_t kKeyMask = (uint64_t{1} << kKeyBits) - 1;
+
+struct Cube {
+  int64_t x, y, z;
+};
+
+// 4 bits of level and 3 x 20 bits of position: +-131 km at 0.25 m. Farther cubes wrap round, which a bounded map never sees.
+inline uint64_t pack(uint64_t level, const Cube& cube) {
+  return (level << (3 * kKeyBits)) | ((static_cast<uint64_t>(cube.x + kKeyOffset) & kKeyMask) << (2 * kKeyBits)) |
+         ((static_cast<uint64_t>(cube.y + kKeyOffset) & kKeyMask) << kKeyBits) |
+         (static_cast<uint64_t>(cube.z + kKeyOffset) & kKeyMask);
+}
+
+inline uint64_t key_level(uint64_t key) { return key >> (3 * kKeyBits); }
+
+inline Cube unpack(uint64_t key) {
+  return {static_cast<int64_t>((key >> (2 * kKeyBits)) & kKeyMask) - kKeyOffset,
+          static_cast<int64_t>((key >> kKeyBits) & kKeyMask) - kKeyOffset,
+          static_cast<int64_t>(key & kKeyMask) - kKeyOffset};
+}
+
+// Finaliser of the SplitMix64 family: neighbouring cubes land far apart.
+inline uint64_t mix(uint64_t key) {
+  key ^= key >> 32;
+  key *= 0xd6e8feb86659fd93ULL;
+  key ^= key >> 32;
+  key *= 0xd6e8feb86659fd93ULL;
+  return key ^ (key >> 32);
+}
+
+}  // namespace heliograph

@@ -1,0 +1,65 @@
+"""LAS and LAZ through laspy, an optional extra."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.errors import DataError, MissingDependencyError
+
+__all__ = ["write_las"]
+
+_SCALE = 1e-3
+_INSTALL = "pip install heliograph[las]"
+
+
+def write_las(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Sequence[str]) -> None:
+    """Write columns as LAS 1.4, point format 6; LAZ if the suffix says so.
+
+    Coordinates are rounded to a millimetre. Intensity becomes 16 bits: values up to 1 are taken as a fraction of full
+    scale, others are rounded and clipped. Other columns become extra dimensions of their own type.
+
+    Raises
+    ------
+    MissingDependencyError
+        laspy, or its LAZ back-end, is not installed.
+    DataError
+        A coordinate is not finite: LAS stores integers.
+    """
+    try:
+        import laspy
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"writing {path.suffix} needs laspy: {_INSTALL}; or choose .ply or .pcd"
+        ) from error
+    if path.suffix.lower() == ".laz" and not laspy.LazBackend.detect_available():
+        raise MissingDependencyError(f"writing .laz needs lazrs: {_INSTALL}; or choose .las, .ply or .pcd")
+    xyz = np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    bad = int(np.count_nonzero(~np.isfinite(xyz).all(axis=1)))
+    if bad:
+        raise DataError(
+            f"{bad} of {len(xyz)} points are not finite, which LAS cannot hold; remove them or write a .ply"
+        )
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, _SCALE)
+    header.offsets = np.floor(xyz.min(axis=0)) if len(xyz) else np.zeros(3)
+    header.system_identifier = (comments[0] if comments else "")[:32]
+    header.generating_software = "heliograph"
+    extra = {name: column for name, column in table.items() if name not in ("x", "y", "z", "intensity")}
+    header.add_extra_dims([laspy.ExtraBytesParams(name=name, type=column.dtype) for name, column in extra.items()])
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = xyz.T
+    if "intensity" in table:
+        las.intensity = _sixteen_bits(table["intensity"])
+    for name, column in extra.items():
+        las[name] = column
+    las.write(str(path))
+
+
+def _sixteen_bits(intensity: NDArray[np.generic]) -> NDArray[np.uint16]:
+    values = np.nan_to_num(intensity.astype(np.float64))
+    scale = 65535.0 if len(values) and 0.0 < values.max() <= 1.0 else 1.0
+    return np.clip(np.rint(values * scale), 0, 65535).astype(np.uint16)

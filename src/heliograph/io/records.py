@@ -1,0 +1,31 @@
+"""Columns of equal length to interleaved binary records and back, shared by the cloud formats."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["columns_of", "write_records"]
+
+_BLOCK = 1 << 18
+
+
+def write_records(file: BinaryIO, table: Mapping[str, NDArray[np.generic]]) -> None:
+    """Write the columns as packed little-endian records, in blocks so that memory stays small."""
+    dtype = np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in table.items()])
+    count = len(next(iter(table.values())))
+    block = np.empty(min(count, _BLOCK), dtype=dtype)
+    for start in range(0, count, _BLOCK):
+        used = block[: min(_BLOCK, count - start)]
+        for name, column in table.items():
+            used[name] = column[start : start + len(used)]
+        file.write(used.data)
+
+
+def columns_of(records: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
+    """Return each field of a record array as a contiguous column in native byte order."""
+    names = records.dtype.names or ()
+    return {name: np.ascontiguousarray(records[name], dtype=records.dtype[name].newbyteorder("=")) for name in names}
