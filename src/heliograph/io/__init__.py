@@ -5,4 +5,4 @@ from heliograph.io.info import InfoReport, inspect_recording
 from heliograph.io.prefetch import prefetch
 from heliograph.io.recording import Recording, open_recording
 
-__all__ = ["InfoReport", "Inference", "Recording", "inspect_recording", "open_recording", "prefetch"]
+__all__ = ["Inference", "InfoReport", "Recording", "inspect_recording", "open_recording", "prefetch"]

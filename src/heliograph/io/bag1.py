@@ -7,9 +7,9 @@ import heapq
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import lz4.frame
+from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader, ReaderError
 
 from heliograph.data import Event
@@ -79,7 +79,7 @@ class Bag1Storage:
         self.channels: list[Channel] = []
         self.events = events
         self.start_ns, self.end_ns = 0, 0
-        self._reader: Any = None
+        self._reader: Reader | None = None
         self._salvage: _Salvage | None = None
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
@@ -91,7 +91,7 @@ class Bag1Storage:
             self._open_damaged(str(error))
         else:
             self._reader = reader
-            self._open_indexed()
+            self._open_indexed(reader)
 
     def close(self) -> None:
         """Release the file."""
@@ -104,26 +104,29 @@ class Bag1Storage:
         if self._salvage is not None:
             yield from self._salvage.messages(topics, start_ns)
             return
-        connections = [c for c in self._reader.connections if c.topic in topics]
+        reader = self._reader
+        if reader is None:
+            return
+        connections = [c for c in reader.connections if c.topic in topics]
         channels = {c.id: self._channel(c) for c in connections}
         if not connections:
             return
         try:
-            for connection, time_ns, data in self._reader.messages(connections, start=start_ns):
+            for connection, time_ns, data in reader.messages(connections, start=start_ns):
                 yield channels[connection.id], time_ns, memoryview(data)
         except (ReaderError, AssertionError, *DAMAGE) as error:
             message = f"{self.path.name} is damaged ({error}); what was read before that is used"
             note(self.events, Event(code="truncated", message=message))
 
     @staticmethod
-    def _channel(connection: Any) -> Channel:
+    def _channel(connection: Connection) -> Channel:
         kind = ros2_name(connection.msgtype)
         return Channel(topic=connection.topic, message_type=kind, encoding="ros1", count=connection.msgcount)
 
-    def _open_indexed(self) -> None:
-        self.channels = [self._channel(c) for c in self._reader.connections]
+    def _open_indexed(self, reader: Reader) -> None:
+        self.channels = [self._channel(c) for c in reader.connections]
         if any(c.count for c in self.channels):
-            self.start_ns, self.end_ns = self._reader.start_time, self._reader.end_time - 1
+            self.start_ns, self.end_ns = reader.start_time, reader.end_time - 1
 
     def _open_damaged(self, reason: str) -> None:
         salvage = _Salvage(self.path)

@@ -96,7 +96,10 @@ def _gyro(
     slope, correlation, count = _gravity_turn(accel, gyro, stamps_ns)
     if correlation > 0.5 and count >= 20:
         unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
-        text = f"the direction of gravity turns {slope:.3g} times as fast as the rates say (1: rad/s, 0.0175: deg/s), r {correlation:.2f}"
+        text = (
+            f"the direction of gravity turns {slope:.3g} times as fast as the rates say (1: rad/s, "
+            f"0.0175: deg/s), r {correlation:.2f}"
+        )
         return unit, inferred(name, unit, text)
     resting = _rest_rate(accel, gyro)
     if resting is not None and resting > 0.15:
@@ -115,8 +118,9 @@ def _gravity_turn(
 ) -> tuple[float, float, int]:
     """Compare how the measured vertical turns with what the gyroscope says.
 
-    A vector fixed in the world moves in the body by ``d g / dt = -omega x g``. Both sides are averaged over windows, so that
-    vibration cancels; returns the slope of the left over the right, their correlation and the number of windows.
+    A vector fixed in the world moves in the body by ``d g / dt = -omega x g``. Both sides are averaged over windows,
+    so that vibration cancels; returns the slope of the left over the right, their correlation and the number of
+    windows.
     """
     if len(stamps_ns) < 40:
         return 0.0, 0.0, 0

@@ -19,7 +19,8 @@ from heliograph.io.timing import infer_timing
 
 __all__ = ["Interpretation", "interpret"]
 
-CLOUDS, SAMPLES = 12, 400
+CLOUDS, SAMPLES, FEW_SAMPLES = 12, 400, 20
+USUAL_PROBE_NS = 3_000_000_000
 LONGEST_PROBE_NS = 20_000_000_000
 DEFAULT_IMU_PERIOD_NS = 5_000_000
 
@@ -222,11 +223,14 @@ def _probe(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo]) ->
 def _enough(probe: _Probe, lidars: list[TopicInfo], imus: list[TopicInfo], now_ns: int) -> bool:
     if probe.start_ns is not None and now_ns - probe.start_ns > LONGEST_PROBE_NS:
         return True
+    elapsed = now_ns - (probe.start_ns or now_ns)
     clouds = all(
         len(probe.clouds.get(t.name, ())) >= (CLOUDS if t.kind == "lidar-packets" else min(CLOUDS, t.count))
         for t in lidars
     )
-    return clouds and all(len(probe.samples.get(t.name, ())) >= min(SAMPLES, t.count) for t in imus)
+    # A slow IMU would otherwise have its whole recording read: after three seconds a few samples do.
+    wanted = SAMPLES if elapsed < USUAL_PROBE_NS else FEW_SAMPLES
+    return clouds and all(len(probe.samples.get(t.name, ())) >= min(wanted, t.count) for t in imus)
 
 
 def _choose_lidar(lidars: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str | None, list[Inference | Event]]:
@@ -274,7 +278,8 @@ def _imu_period(samples: Sequence[RawImu]) -> tuple[int, Inference]:
     steps = np.diff(np.array([s.stamp_ns for s in samples], dtype=np.int64))
     if len(steps) >= 3 and np.count_nonzero(steps < 0) > len(steps) // 2:
         raise DataError(
-            f"{samples[0].topic}: IMU stamps run backwards ({np.count_nonzero(steps < 0)} of the first {len(steps)} steps); re-record "
+            f"{samples[0].topic}: IMU stamps run backwards ({np.count_nonzero(steps < 0)} of the first "
+            f"{len(steps)} steps); re-record "
             "or sort the messages by stamp"
         )
     steps = steps[steps > 0]

@@ -1,7 +1,7 @@
 """The per-point time layouts of the drivers that people record with, as data.
 
-Each row was checked against the driver's own source (named in ``checked``); `tests/unit/io/layouts.py` keeps a fixture of each.
-The table says what to expect; the data decide, and a contradiction is reported.
+Each row was checked against the driver's own source (named in ``checked``); `tests/unit/io/layouts.py` keeps a
+fixture of each. The table says what to expect; the data decide, and a contradiction is reported.
 """
 
 from __future__ import annotations
@@ -103,7 +103,8 @@ LAYOUTS: tuple[Layout, ...] = (
         reference="absolute",
         fields=("intensity", "ring"),
         stamp="start of the frame",
-        checked="HesaiLidar_ROS_2.0: src/manager/source_driver_ros2.hpp; rslidar_sdk (RoboSense) has the same fields: src/msg/rs_msg",
+        # RoboSense writes the same fields: rslidar_sdk, XYZIRT in src/source/source_pointcloud_ros.hpp and src/msg.
+        checked="HesaiLidar_ROS_2.0: src/manager/source_driver_ros2.hpp; rslidar_sdk: POINT_TYPE XYZIRT",
     ),
 )
 

@@ -1,9 +1,10 @@
 """MCAP files, finished or not.
 
-The container format is public (mcap.dev, version 1): records of one opcode byte, a 64-bit length and a body; messages sit in
-chunks that may be compressed; a summary at the end repeats schemas and channels and indexes the chunks. A recorder that was
-killed leaves no summary, or half a chunk: then the file is walked from its start and everything that is complete is used.
-Payloads are views into the decompressed chunk, so that a point cloud is not copied on its way out.
+The container format is public (mcap.dev, version 1): records of one opcode byte, a 64-bit length and a body;
+messages sit in chunks that may be compressed; a summary at the end repeats schemas and channels and indexes the
+chunks. A recorder that was killed leaves no summary, or half a chunk: then the file is walked from its start and
+everything that is complete is used. Payloads are views into the decompressed chunk, so that a point cloud is not
+copied on its way out.
 """
 
 from __future__ import annotations
@@ -216,7 +217,8 @@ class McapStorage:
                     self._count_message(record)
                 elif opcode == CHUNK:
                     inside = self._index_chunk(record)
-                    self._chunks.append(_Chunk(*struct.unpack_from("<QQ", record, 0), offset, len(record) + 9, inside))
+                    first, last = struct.unpack_from("<QQ", record, 0)
+                    self._chunks.append(_Chunk(first, last, offset, len(record) + RECORD.size, inside))
                 elif opcode in (DATA_END, FOOTER):
                     return
         except DAMAGE as error:

@@ -1,8 +1,9 @@
 """Decoders from a message's bytes to raw records, for the CDR (ROS 2) and the ROS 1 serialisation.
 
-A generic deserialiser builds an object a field; these read only what the estimation uses and leave a cloud where it is: its
-columns are strided views of the payload. Layouts: OMG CDR 1.0 (primitives aligned to their size, counted from the byte after
-the 4-byte encapsulation header) and the ROS 1 serialisation (no alignment, a sequence number first in the header).
+A generic deserialiser builds an object a field; these read only what the estimation uses and leave a cloud where it
+is: its columns are strided views of the payload. Layouts: OMG CDR 1.0 (primitives aligned to their size, counted
+from the byte after the 4-byte encapsulation header) and the ROS 1 serialisation (no alignment, a sequence number
+first in the header).
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["FrameTree", "FACTORY_MOUNTINGS", "Mounting", "find_mounting", "read_extrinsic", "recognise_livox"]
+__all__ = ["FACTORY_MOUNTINGS", "FrameTree", "Mounting", "find_mounting", "read_extrinsic", "recognise_livox"]
 
 UNKNOWN_ROTATION = float(np.pi)
 UNKNOWN_LEVER_ARM = 0.3
@@ -51,7 +51,7 @@ class FrameTree:
     def __init__(self, transforms: Iterable[RawTransform]) -> None:
         self._edges: dict[str, dict[str, tuple[NDArray[np.float64], bool]]] = {}
         for edge in transforms:
-            inverse = np.linalg.inv(edge.T_parent_child)
+            inverse = np.linalg.inv(edge.T_parent_child).astype(np.float64)
             self._edges.setdefault(edge.parent, {})[edge.child] = (edge.T_parent_child, edge.static)
             self._edges.setdefault(edge.child, {})[edge.parent] = (inverse, edge.static)
 
@@ -65,7 +65,8 @@ class FrameTree:
         a, b = a.lstrip("/"), b.lstrip("/")
         if a not in self._edges or b not in self._edges:
             return None
-        queue = deque([(a, np.eye(4), (a,), True)])
+        start: tuple[str, NDArray[np.float64], tuple[str, ...], bool] = (a, np.eye(4), (a,), True)
+        queue = deque([start])
         seen = {a}
         while queue:
             frame, T_a_frame, way, static = queue.popleft()
@@ -137,7 +138,10 @@ def _from_tf(link: tuple[NDArray[np.float64], tuple[str, ...], bool], imu: str, 
     rig = Rig(T_imu_lidar=T_imu_lidar, source="tf_static" if static else "tf")
     events = []
     if not static:
-        message = f"the link from '{imu}' to '{lidar}' ({' - '.join(way)}) is on /tf, not /tf_static: its first value is used throughout"
+        message = (
+            f"the link from '{imu}' to '{lidar}' ({' - '.join(way)}) is on /tf, not /tf_static: its first "
+            "value is used throughout"
+        )
         events.append(Event(code="moving-mount", message=message))
     return Mounting(rig, (_describe(rig, " - ".join(way), "data"),), tuple(events))
 
@@ -157,7 +161,8 @@ def _unknown(imu: str, lidar: str, tree: FrameTree) -> Mounting:
         sigma_translation=UNKNOWN_LEVER_ARM,
     )
     message = (
-        f"the LiDAR-IMU transform is unknown ({cause}): the rotation is aligned from motion, the lever arm taken as 0 +- "
+        f"the LiDAR-IMU transform is unknown ({cause}): the rotation is aligned from motion, the lever arm taken "
+        "as 0 +- "
         f"{UNKNOWN_LEVER_ARM} m; give it with --extrinsic FILE"
     )
     return Mounting(
@@ -168,10 +173,10 @@ def _unknown(imu: str, lidar: str, tree: FrameTree) -> Mounting:
 
 
 def recognise_livox(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> tuple[NDArray[np.float64], str] | None:
-    """Return the maker's ``T_imu_lidar`` and the name of a Livox sensor with its built-in IMU; None where it is not certain.
+    """Return the maker's ``T_imu_lidar`` and the name of a Livox sensor with its built-in IMU, else None.
 
-    The message and the frame tell the make, the field of view the model: a Mid-360 looks all around, an Avia into a cone of
-    about 70 degrees.
+    The message and the frame tell the make, the field of view the model: a Mid-360 looks all around, an Avia into a
+    cone of about 70 degrees.
     """
     cloud, sample = clouds[0], samples[0]
     livox = (

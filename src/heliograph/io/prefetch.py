@@ -16,8 +16,8 @@ _POLL_S = 0.1
 def prefetch(iterator: Iterator[T], depth: int = 4) -> Generator[T, None, None]:
     """Yield the items of ``iterator``, produced by a background thread at most ``depth`` ahead.
 
-    Order is kept, an exception is raised again where it would have come, and closing the generator (or leaving its loop) stops the
-    thread before it returns.
+    Order is kept, an exception is raised again where it would have come, and closing the generator (or leaving its
+    loop) stops the thread before it returns.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def prefetch(iterator: Iterator[T], depth: int = 4) -> Generator[T, None, None]:
                 put((item,))
                 if stop.is_set():
                     return
-        except BaseException as error:  # noqa: BLE001 - raised again in the consumer
+        except BaseException as error:
             put(error)
         else:
             put(None)

@@ -159,8 +159,9 @@ class Recording:
     def stream(self) -> Iterator[Measurement]:
         """Yield scans, IMU batches and fixes in the order in which they were received.
 
-        A batch holds the samples between two other messages, 256 at most. Messages whose stamp repeats or runs back are dropped and
-        counted (see `events`); after the first message, damage ends the stream early instead of raising.
+        A batch holds the samples between two other messages, 256 at most. Messages whose stamp repeats or runs back
+        are dropped and counted (see `events`); after the first message, damage ends the stream early instead of
+        raising.
         """
         self.tally = self._new_tally()
         pending: list[RawImu] = []
@@ -196,7 +197,7 @@ class Recording:
         return self.tally
 
     def summary(self) -> dict[str, object]:
-        """Return the recording in plain values for ``run.json``: counts and rates of the stream read last, topics, frames."""
+        """Return the recording in plain values for ``run.json``; the counts are those of the stream read last."""
         found = self.interpretation
         rig = self.rig
         streams = {"lidar": self.tally.lidar, "imu": self.tally.imu, "gnss": self.tally.gnss}

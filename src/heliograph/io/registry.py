@@ -22,7 +22,8 @@ OPENERS: tuple[tuple[str, str], ...] = (
     ("heliograph.io.kitti", "open_kitti"),
     ("heliograph.io.folders", "open_cloud_folder"),
 )
-"""Module and function of every reader, asked in this order. ``opener(paths)`` returns a `RawSource`, or None for another kind."""
+"""Module and function of every reader, asked in this order. ``opener(paths)`` returns a `RawSource`, or None for
+another kind."""
 
 PACKET_DRIVERS: Mapping[str, str] = {
     "ouster_sensor_msgs/msg/PacketMsg": "ouster",

@@ -1,4 +1,4 @@
-"""ROS recordings: ROS 1 bags, ROS 2 bags (SQLite, MCAP, compressed or not), bare MCAP files, folders of them, several paths."""
+"""ROS recordings: ROS 1 and ROS 2 bags, bare MCAP files, compressed or not, folders of them, several paths."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from ruamel.yaml import YAML, YAMLError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from heliograph.data import Event
 from heliograph.errors import DataError, FormatError

@@ -30,8 +30,9 @@ class PointTiming:
     ns_per_unit : float
         Of that column [ns].
     reference : str
-        ``"header"``: a point was measured at the header stamp plus its time minus ``shift_ns``; ``"absolute"``: at its time;
-        ``"other-clock"``: its time counts in a clock of its own, the earliest point is at the header stamp minus ``shift_ns``.
+        ``"header"``: a point was measured at the header stamp plus its time minus ``shift_ns``; ``"absolute"``: at
+        its time; ``"other-clock"``: its time counts in a clock of its own, the earliest point is at the header stamp
+        minus ``shift_ns``.
     shift_ns : int
         Constant part of the above [ns].
     period_ns : int
@@ -165,8 +166,8 @@ def _exact_ns(value: float | np.generic, ns_per_unit: float) -> int:
     """Return a time in nanoseconds without losing the digits of an epoch in seconds."""
     if isinstance(value, np.integer):
         return int(value) * int(ns_per_unit)
-    whole = int(np.floor(float(value)))  # type: ignore[arg-type]
-    return whole * int(ns_per_unit) + round((float(value) - whole) * ns_per_unit)  # type: ignore[arg-type]
+    whole = int(np.floor(float(value)))
+    return whole * int(ns_per_unit) + round((float(value) - whole) * ns_per_unit)
 
 
 def _geometric_offsets(
@@ -199,4 +200,5 @@ def azimuth_offsets(points: NDArray[np.float32], direction: int, period_ns: int)
     phase = np.mod(direction * (azimuth - azimuth[0]), turn) / turn
     # Points a hair before the first one belong to the sweep's start, not to its end.
     phase[phase > 0.999] = 0.0
-    return (phase * np.float32(period_ns)).astype(np.int32)
+    offsets: NDArray[np.int32] = (phase * np.float32(period_ns)).astype(np.int32)
+    return offsets

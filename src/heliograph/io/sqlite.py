@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 
 from heliograph.data import Event
@@ -39,7 +39,7 @@ class SqliteStorage:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise FormatError(path, "not an SQLite file: check the file's name and download")
-        self._reader: Any = Reader(path)
+        self._reader = Reader(path)
         try:
             self._reader.open()
         except Exception as error:
@@ -54,12 +54,11 @@ class SqliteStorage:
 
     def close(self) -> None:
         """Release the file."""
-        if self._reader is not None:
+        if self._reader.is_open:
             self._reader.close()
-            self._reader = None
 
     @staticmethod
-    def _channel(connection: Any) -> Channel:
+    def _channel(connection: Connection) -> Channel:
         kind = ros2_name(connection.msgtype)
         return Channel(topic=connection.topic, message_type=kind, encoding="cdr", count=connection.msgcount)
 

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import heapq
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import BinaryIO, Protocol, TypeVar
 
 from heliograph.data import Event
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 __all__ = ["Channel", "RawBytes", "Storage", "merge_lazily", "note", "ros2_name", "zstd_decompress", "zstd_open"]
 
@@ -102,21 +108,12 @@ def merge_lazily(sources: Iterable[tuple[int, Callable[[], Iterator[T]]]], key: 
             heapq.heappop(heap)
 
 
-def _zstd() -> Any:
-    """Return the zstd module: the standard library's from Python 3.14, its backport (a dependency of rosbags) before."""
-    try:
-        from compression import zstd  # type: ignore[import-not-found, unused-ignore]  # noqa: PLC0415
-    except ImportError:
-        from backports import zstd  # noqa: PLC0415
-    return zstd
-
-
 def zstd_decompress(data: bytes | memoryview) -> bytes:
     """Return the content of zstd frames."""
-    content: bytes = _zstd().decompress(data)
+    content: bytes = zstd.decompress(data)
     return content
 
 
-def zstd_open(stream: Any) -> Any:
+def zstd_open(stream: BinaryIO) -> zstd.ZstdFile:
     """Return a readable binary stream of the content of a zstd file."""
-    return _zstd().open(stream, "rb")
+    return zstd.open(stream, "rb")

@@ -87,7 +87,8 @@ class Watch:
         if self.gaps:
             at, longest = max(self.gaps, key=lambda g: g[1])
             message = (
-                f"{self.name}: {len(self.gaps)} gaps of more than {self.patience:g} periods, the longest {longest / 1e9:.3f} s; the motion "
+                f"{self.name}: {len(self.gaps)} gaps of more than {self.patience:g} periods, the longest "
+                f"{longest / 1e9:.3f} s; the motion "
                 "across them is carried by the other sensor or the motion model"
             )
             found.append(Event(code=f"{self.name}-gap", message=message, stamp_ns=at, count=len(self.gaps)))

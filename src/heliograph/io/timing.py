@@ -166,7 +166,8 @@ def _unit(spans: _Spans, period_ns: int, layout: Layout | None, override: str) -
     events = []
     if layout is not None and unit != layout.unit:
         message = (
-            f"per-point times are in {unit}, not in {layout.unit} as '{layout.field}' of {layout.name} drivers should be: "
+            f"per-point times are in {unit}, not in {layout.unit} as '{layout.field}' of {layout.name} drivers "
+            "should be: "
             f"{evidence}; set input.point_time_unit to overrule"
         )
         events.append(Event(code="point-time-unit", message=message))
@@ -247,7 +248,8 @@ def _absolute(timing: PointTiming, spans: _Spans, override: str) -> tuple[PointT
         ]
         return replace(timing, reference="absolute"), found, []
     message = (
-        f"per-point times are absolute in another clock, {abs(lag) / 1e9:.1f} s from the header stamps; the sweep is taken to start "
+        f"per-point times are absolute in another clock, {abs(lag) / 1e9:.1f} s from the header stamps; the sweep "
+        "is taken to start "
         "at its header stamp; set input.point_time_reference to overrule"
     )
     found = [
@@ -265,7 +267,8 @@ def _check_latency(timing: PointTiming, clouds: Sequence[RawCloud], meaning: str
     if len(latency) < 3 or not np.all((latency > 1_000_000) & (latency < 0.7 * high)):
         return []
     message = (
-        f"scans were received {np.median(latency) / 1e6:.1f} ms after their stamp although a sweep lasts {high / 1e6:.1f} ms: the "
+        f"scans were received {np.median(latency) / 1e6:.1f} ms after their stamp although a sweep lasts "
+        f"{high / 1e6:.1f} ms: the "
         "stamp may mean the sweep's end; compare with input.point_time_reference=end"
     )
     return [Event(code="scan-stamp", message=message)]
