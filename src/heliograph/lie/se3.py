@@ -79,7 +79,7 @@ def log(T: ArrayLike) -> Array:
 
 def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> Array:
     """Return ``T_a_c = T_a_b @ T_b_c``."""
-    return np.asarray(T_a_b, dtype=np.float64) @ np.asarray(T_b_c, dtype=np.float64)
+    return np.asarray(np.asarray(T_a_b, dtype=np.float64) @ np.asarray(T_b_c, dtype=np.float64))
 
 
 def inverse(T: ArrayLike) -> Array:
