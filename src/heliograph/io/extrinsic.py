@@ -29,8 +29,8 @@ _MAX_DEFECT = 1e-3
 def read_extrinsic(path: Path | str) -> Rig:
     """Read ``T_imu_lidar`` (``p_imu = T_imu_lidar @ p_lidar``) from a TOML file.
 
-    The file has one table ``[T_imu_lidar]`` with either ``matrix`` (4x4), or ``translation`` (metres) together with
-    ``rotation`` (3x3, rows) or ``quaternion_xyzw``.
+    The file holds, in a table ``[T_imu_lidar]`` or at its top, either ``matrix`` (4x4), or ``translation`` (metres)
+    together with ``rotation`` (3x3 by rows, or a quaternion xyzw) or ``quaternion_xyzw``.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ def read_extrinsic(path: Path | str) -> Rig:
         raise ConfigError(f"extrinsic {path}: cannot be read: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"extrinsic {path}: is not TOML: {error}") from error
-    table = content.get(_TABLE)
+    table = content.get(_TABLE, content)
     if not isinstance(table, dict):
-        raise ConfigError(f"extrinsic {path}: has no table [{_TABLE}]; write the LiDAR's pose in the IMU frame there")
+        raise ConfigError(f"extrinsic {path}: '{_TABLE}' is no table; write [{_TABLE}] on a line of its own")
     unknown = [key for key in table if key not in _KEYS]
     if unknown:
         raise ConfigError(f"extrinsic {path}: unknown key '{unknown[0]}'{closest(unknown[0], _KEYS)}")
@@ -76,16 +76,17 @@ def read_extrinsic(path: Path | str) -> Rig:
         T_imu_lidar[:3, 3] = _numbers(path, table, "translation", (3,))
         T_imu_lidar[:3, :3] = _rotation(path, table, given[0])
     T_imu_lidar[:3, :3] = _orthonormal(path, T_imu_lidar[:3, :3])
-    return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path.name}")
+    return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path}")
 
 
 def _rotation(path: Path, table: Mapping[str, Any], key: str) -> NDArray[np.float64]:
-    if key == "rotation":
+    flat = isinstance(table[key], list) and len(table[key]) == 4
+    if key == "rotation" and not flat:
         return _numbers(path, table, key, (3, 3))
     quaternion = _numbers(path, table, key, (4,))
     length = float(np.linalg.norm(quaternion))
     if abs(length - 1.0) > _MAX_DEFECT:
-        raise ConfigError(f"extrinsic {path}: 'quaternion_xyzw' has length {length:.6f}, expected 1")
+        raise ConfigError(f"extrinsic {path}: the quaternion (x, y, z, w) has length {length:.6f}, expected 1")
     return rotations_from_quaternions(quaternion)
 
 

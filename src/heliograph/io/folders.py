@@ -35,9 +35,9 @@ def open_cloud_folder(paths: Sequence[Path]) -> RawSource | None:
     Parameters
     ----------
     paths : sequence of Path
-        One folder with ``.pcd`` or ``.ply`` files in it or in its only subfolder that has some; or those files themselves.
-        Beside them, or one folder up, may lie: the stamps (``times.txt``, ``timestamps.csv``: one row a cloud, in the order of
-        names; else the file names are the stamps), the inertial samples (``imu.csv``, ``imu.txt``; see
+        One folder with ``.pcd`` or ``.ply`` files in it or in its only subfolder that has some; or those files.
+        Beside them, or one folder up, may lie: the stamps (``times.txt``, ``timestamps.csv``: one row a cloud, in the
+        order of names; else the file names are the stamps), the inertial samples (``imu.csv``, ``imu.txt``; see
         `heliograph.io.imu_tables`), the mounting (``extrinsic.toml``; see `heliograph.io.extrinsic`).
 
     Returns
@@ -112,8 +112,8 @@ class _CloudFolder:
         if imu_path is not None:
             raise FormatError(
                 clouds[0].parent,
-                f"has clouds without stamps beside {imu_path.name}; add times.txt with one stamp a cloud, or name the files by "
-                "their stamps",
+                f"has clouds without stamps beside {imu_path.name}; add times.txt with one stamp a cloud, or name the "
+                "files by their stamps",
             )
         message = "the clouds have no stamps (no times.txt, names are no times); 10 Hz is assumed"
         self.events.append(Event(code="assumed-stamps", message=message))
@@ -166,7 +166,7 @@ class _CloudFolder:
         if path is None:
             return None
         rig = read_extrinsic(path)
-        return rig.T_imu_lidar, rig.source
+        return rig.T_imu_lidar, f"{path.name} beside the clouds"
 
     def close(self) -> None:
         """Nothing stays open between iterations."""

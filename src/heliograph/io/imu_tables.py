@@ -57,9 +57,9 @@ class _Columns:
 def read_imu_table(path: Path) -> ImuTable:
     """Read a CSV or blank-separated table of inertial samples.
 
-    A header names the columns (``time``, ``gyro_x``, ``angular_velocity.x``, ``ax``, ``accelY`` ..., a unit in brackets after
-    the time is heeded). Without a header the table must have seven columns, time first; the three whose mean length is nearer
-    to 1 g is then the specific force.
+    A header names the columns (``time``, ``gyro_x``, ``angular_velocity.x``, ``ax``, ``accelY`` ..., a unit in brackets
+    after the time is heeded). Without a header the table must have seven columns, time first; the three whose median
+    length is nearer to 1 g are then the specific force.
 
     Raises
     ------
@@ -139,8 +139,8 @@ def _columns_of_header(path: Path, header: Sequence[str]) -> _Columns:
     if missing:
         raise FormatError(
             path,
-            f"has no columns for {', '.join(missing)}; name them time, gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z "
-            f"(it has {', '.join(header)})",
+            f"has no columns for {', '.join(missing)}; name them time, gyro_x, gyro_y, gyro_z, accel_x, accel_y, "
+            f"accel_z (it has {', '.join(header)})",
         )
     unit = re.search(r"(?:[\[(]\s*|_)(ns|us|ms|s)\b", header[time[0]].lower())
     used = [header[i] for i in (time[0], *triples["gyro"], *triples["accel"]) if i is not None]

@@ -28,7 +28,8 @@ def open_kitti(paths: Sequence[Path]) -> RawSource | None:
     Parameters
     ----------
     paths : sequence of Path
-        One folder: a raw drive (``velodyne_points/``, ``oxts/``) or an odometry sequence (``velodyne/``, ``times.txt``).
+        One folder: a raw drive (``velodyne_points/``, ``oxts/``) or a sequence of the odometry benchmark
+        (``velodyne/``, ``times.txt``).
 
     Returns
     -------

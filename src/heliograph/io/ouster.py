@@ -15,6 +15,7 @@ from heliograph.io.rotations import invert_pose
 
 __all__ = ["OusterDecoder", "is_ouster_metadata", "ouster_core"]
 
+INSTALL = "pip install 'heliograph[ouster]' && pip install --no-deps 'ouster-sdk>=1.0'"
 LIDAR_FRAME, IMU_FRAME = "os_sensor", "os_imu"
 _MILLIMETRE = 1e-3
 _VALID_COLUMN = 1
@@ -25,7 +26,7 @@ def ouster_core() -> Any:  # noqa: ANN401 - an optional package without types
     try:
         from ouster.sdk import core
     except ImportError as error:
-        message = f"Ouster packets need ouster-sdk >= 1.0: pip install heliograph[ouster] ({error})"
+        message = f"Ouster packets need ouster-sdk: {INSTALL} ({error})"
         raise MissingDependencyError(message) from error
     return core
 
@@ -61,8 +62,8 @@ class OusterDecoder:
     Notes
     -----
     Points are in the vendor's sensor frame, at the time of their column, in the sensor's clock, which the inertial
-    samples share. The SDK gives specific force in m/s^2 and angular rate in rad/s (`ImuPacket.accel`, `ImuPacket.gyro`). Only
-    the first return is kept.
+    samples share. The SDK gives specific force in m/s^2 and angular rate in rad/s (`ImuPacket.accel`,
+    `ImuPacket.gyro`). Only the first return is kept.
     """
 
     def __init__(self, metadata: str, source: Path | str, lidar_topic: str, imu_topic: str) -> None:
@@ -176,4 +177,4 @@ class OusterDecoder:
         """
         T_sensor_imu = np.array(self.info.imu_to_sensor_transform, dtype=np.float64)
         T_sensor_imu[:3, 3] *= _MILLIMETRE
-        return invert_pose(T_sensor_imu), f"factory, Ouster {self.info.prod_line}"
+        return invert_pose(T_sensor_imu), f"Ouster {self.info.prod_line}"

@@ -29,7 +29,7 @@ class OusterPackets:
     Parameters
     ----------
     context : PacketContext
-        The metadata are the text on a topic ``metadata`` of the same namespace, or of any, or a JSON file beside the bag.
+        The metadata are the text on a topic ``metadata`` of the same namespace, or a JSON file beside the bag.
 
     Raises
     ------
@@ -84,8 +84,8 @@ def _ouster_metadata(context: PacketContext) -> dict[str, tuple[str, Path | str]
     if len(found) != 1:
         names = ", ".join(json.name for json in found) or "none"
         raise DataError(
-            "Ouster packets need the sensor's metadata: a std_msgs/String topic 'metadata' in the bag or one .json beside it "
-            f"(found: {names})"
+            "Ouster packets need the sensor's metadata: a std_msgs/String topic 'metadata' in the bag, or one .json "
+            f"beside it (found: {names})"
         )
     return {"": (found[0].read_text(encoding="utf-8"), found[0])}
 

@@ -74,8 +74,8 @@ def _find_metadata(capture: Path, given: Sequence[Path], sizes: Counter[int]) ->
         common = ", ".join(str(size) for size, _ in sizes.most_common(3)) or "no known"
         raise FormatError(
             capture,
-            f"holds UDP packets of {common} bytes: not Velodyne's, and no Ouster metadata .json lies beside it; add that "
-            "file, or convert packets of another sensor with its driver",
+            f"holds UDP packets of {common} bytes: not Velodyne's, and no Ouster metadata .json lies beside it; add "
+            "that file, or convert packets of another sensor with its driver",
         )
     fitting = [path for path in candidates if _fits(capture, path)]
     if len(fitting) != 1:

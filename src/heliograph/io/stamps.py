@@ -21,8 +21,8 @@ _STEP_S = (2e-4, 0.5)  # samples between 2 Hz and 5 kHz
 def stamp_unit(words: Sequence[str]) -> str:
     """Return the unit in which stamps are written: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
 
-    Values that can be times since 1970 tell the unit by their size; smaller ones by their median step, which must make a
-    rate between 2 Hz and 5 kHz; a decimal point decides for seconds where more than one unit does.
+    Values that can be times since 1970 tell the unit by their size; smaller ones by their median step, which must make
+    a rate between 2 Hz and 5 kHz; a decimal point decides for seconds where more than one unit does.
 
     Raises
     ------
