@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: MIT
+// A static world of rectangles, boxes and cylinders, indexed for nearest-hit queries.
+#pragma once
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+
+namespace heliograph::sim {
+
+enum class Shape : std::int32_t { rectangle = 0, box = 1, cylinder = 2 };
+
+// One surface patch. `R_world_local` has the local axes as columns; the rectangle lies in local z = 0, the
+// cylinder's axis is local z with radius half.x(). All lengths in metres.
+struct Primitive {
+  Eigen::Matrix3d R_world_local;
+  Eigen::Vector3d center;
+  Eigen::Vector3d half;
+  Shape shape;
+  double reflectivity;  // of the brighter texture cells, 0 to 1
+  double contrast;      // the darker cells reflect (1 - contrast) of that
+  double period;        // edge of a texture cell [m]
+};
+
+struct Hit {
+  double range = 0.0;        // [m]; 0 where nothing was hit
+  float brightness = 0.0F;   // reflectivity times the cosine of incidence
+  std::int32_t id = -1;      // index of the primitive
+};
+
+// Nearest-hit queries through a bounding volume hierarchy. Ties go to the lower index, so that the answer does not
+// depend on the tree or on the order of the queries.
+class Scene {
+ public:
+  explicit Scene(std::vector<Primitive> primitives);
+
+  std::size_t size() const { return primitives_.size(); }
+
+  // `hint` is a primitive to try first (the neighbouring ray's); any value gives the same answer.
+  Hit nearest(const Eigen::Vector3d& origin, const Eigen::Vector3d& direction, double min_range, double max_range,
+              std::int32_t hint = -1) const;
+
+ private:
+  // Children of an inner node are `first` and `first + 1`; a leaf (count > 0) holds order_[first, first + count).
+  struct Node {
+    Eigen::Vector3d low;
+    Eigen::Vector3d high;
+    std::int32_t first = 0;
+    std::int32_t count = 0;
+  };
+
+  void split(std::int32_t node, std::int32_t begin, std::int32_t end);
+
+  std::vector<Primitive> primitives_;
+  std::vector<Eigen::Vector3d> low_;
+  std::vector<Eigen::Vector3d> high_;
+  std::vector<std::int32_t> order_;
+  std::vector<Node> nodes_;
+};
+
+}  // namespace heliograph::sim

@@ -1,0 +1,202 @@
+"""The places that scenarios happen in: a world that varies a little with the seed, and a course through it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from heliograph.sim.rotation import euler_to_matrix
+from heliograph.sim.trajectory import Course
+from heliograph.sim.world import Primitive, Surface, World, box, cylinder, rectangle
+
+__all__ = ["PLACES", "Place"]
+
+_CONCRETE = Surface(reflectivity=0.35, contrast=0.25, period=0.8)
+_ASPHALT = Surface(reflectivity=0.18, contrast=0.3, period=1.1)
+_PANEL = Surface(reflectivity=0.6, contrast=0.2, period=1.2)
+_STEEL = Surface(reflectivity=0.45, contrast=0.5, period=0.25)
+_BRICK = Surface(reflectivity=0.4, contrast=0.35, period=0.6)
+_WOOD = Surface(reflectivity=0.5, contrast=0.3, period=0.3)
+_GRASS = Surface(reflectivity=0.3, contrast=0.4, period=0.5)
+
+_LEVEL = np.eye(3)
+_FACES_X = euler_to_matrix((np.pi / 2, 0.0, np.pi / 2))  # local x along world y, local y up, normal along world x
+_FACES_Y = euler_to_matrix((np.pi / 2, 0.0, 0.0))  # local x along world x, local y up, normal along world -y
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """A world and the course walked in it.
+
+    Parameters
+    ----------
+    world : World
+        What the LiDAR sees.
+    course : Course
+        Way of the IMU [m].
+    """
+
+    world: World
+    course: Course
+
+
+def _yaw(angle: float) -> NDArray[np.float64]:
+    return euler_to_matrix((0.0, 0.0, angle))
+
+
+def _standing(x: float, y: float, size: ArrayLike, surface: Surface, *, yaw: float = 0.0, z: float = 0.0) -> Primitive:
+    """Return a box that stands on height ``z``."""
+    size = np.asarray(size, dtype=np.float64)
+    return box((x, y, z + size[2] / 2.0), size, _yaw(yaw), surface)
+
+
+def _carton(rng: np.random.Generator, x: float, y: float, z: float, largest: ArrayLike) -> Primitive:
+    """Return a box of random size and shade that stands on ``z``, slightly turned."""
+    size = np.asarray(largest) * rng.uniform(0.55, 1.0, 3)
+    shade = Surface(reflectivity=rng.uniform(0.25, 0.85), contrast=0.25, period=rng.uniform(0.15, 0.5))
+    return _standing(x, y, size, shade, yaw=rng.normal(0.0, 0.05), z=z)
+
+
+def _shelf(rng: np.random.Generator, x0: float, x1: float, y: float, fill: float) -> Iterator[Primitive]:
+    """Yield a rack along x with three decks, uprights, and cartons on a random part of its places."""
+    depth, bay, decks = 1.1, 2.7, (0.12, 1.55, 3.0)
+    bays = round((x1 - x0) / bay)
+    width = (x1 - x0) / bays
+    for z in decks:
+        yield box(((x0 + x1) / 2.0, y, z), (x1 - x0, depth, 0.08), None, _STEEL)
+    for i in range(bays + 1):
+        for side in (-1.0, 1.0):
+            yield _standing(x0 + i * width, y + side * (depth / 2.0 - 0.05), (0.1, 0.1, 4.3), _STEEL)
+    for i in range(bays):
+        for z in decks:
+            for place in (0.28, 0.72):
+                if rng.random() < fill:
+                    x = x0 + (i + place) * width + rng.normal(0.0, 0.05)
+                    yield _carton(rng, x, y + rng.normal(0.0, 0.05), z + 0.04, (1.15, 1.0, 1.25))
+
+
+def _hall(rng: np.random.Generator) -> Iterator[Primitive]:
+    """Yield the warehouse proper: x 0 to 42, y 0 to 24, two gates in its east wall."""
+    height = 7.0
+    yield rectangle((21.0, 12.0, 0.0), (42.0, 24.0), _LEVEL, _CONCRETE)
+    yield rectangle((21.0, 12.0, height), (42.0, 24.0), _LEVEL, _PANEL)
+    yield rectangle((0.0, 12.0, height / 2.0), (24.0, height), _FACES_X, _PANEL)
+    for y in (0.0, 24.0):
+        yield rectangle((21.0, y, height / 2.0), (42.0, height), _FACES_Y, _PANEL)
+    for y0, y1 in ((0.0, 4.0), (8.0, 16.0), (20.0, 24.0)):
+        yield box((42.1, (y0 + y1) / 2.0, height / 2.0), (0.2, y1 - y0, height), None, _PANEL)
+    for y in (6.0, 18.0):
+        yield box((42.1, y, 5.75), (0.2, 4.0, 2.5), None, _PANEL)
+    for x in np.arange(6.0, 42.0, 6.0):
+        yield box((x, 12.0, height - 0.25), (0.2, 24.0, 0.5), None, _STEEL)
+        for y in (0.15, 23.85):
+            yield _standing(x, y, (0.3, 0.3, height), _STEEL)
+    for x, y in ((2.0, 9.2), (2.0, 15.0), (20.0, 9.0), (38.5, 9.0), (38.5, 15.0), (20.0, 21.0), (20.0, 3.0)):
+        yield cylinder((x, y, height / 2.0), 0.22, height, None, _CONCRETE)
+    for y, fill in ((2.9, 0.7), (9.0, 0.65), (15.0, 0.65), (21.1, 0.7)):
+        for x0, x1 in ((7.0, 17.8), (22.2, 35.7)):
+            yield from _shelf(rng, x0, x1, y, fill * rng.uniform(0.85, 1.15))
+    for _ in range(14):  # pallets in the corners and before the gates, clear of the way
+        x, y = rng.uniform(36.8, 40.8), rng.choice([1.6, 3.2, 9.4, 10.9, 12.6, 14.4, 20.9, 22.4])
+        yield _carton(rng, x, y + rng.normal(0.0, 0.1), 0.0, (1.2, 1.1, 1.9))
+    for y in rng.uniform(15.5, 22.5, 4):
+        yield _carton(rng, rng.uniform(0.9, 4.5), y, 0.0, (1.3, 1.3, 2.0))
+
+
+def _ramp_height(x: float) -> float:
+    """Height of the yard's ground: level at the gates, then a rise of 5 %, level again."""
+    return float(np.clip((x - 48.0) * 0.05, 0.0, 0.5))
+
+
+def _yard(rng: np.random.Generator) -> Iterator[Primitive]:
+    """Yield the yard east of the hall: a ramp, containers, a facade, a bank, poles and trees."""
+    slope = float(np.arctan(0.05))
+    yield rectangle((45.0, 12.0, 0.0), (6.0, 90.0), _LEVEL, _ASPHALT)
+    yield rectangle(
+        (53.0, 12.0, 0.25), (float(np.hypot(10.0, 0.5)), 90.0), euler_to_matrix((0.0, -slope, 0.0)), _ASPHALT
+    )
+    yield rectangle((78.0, 12.0, 0.5), (40.0, 90.0), _LEVEL, _ASPHALT)
+    yield box((91.0, 12.0, 6.5), (10.0, 46.0, 12.0), None, _BRICK)
+    for y in np.arange(-7.0, 33.0, 4.0):  # window reveals and a cornice break the facade's plane
+        for z in (2.4, 6.0, 9.6):
+            yield box((85.95, y, z), (0.3, 1.4, 1.8), None, Surface(reflectivity=0.75, contrast=0.1, period=0.7))
+    yield box((85.8, 12.0, 12.3), (0.8, 46.4, 0.4), None, _CONCRETE)
+    yield rectangle((66.0, 41.0, 2.1), (48.0, 8.0), euler_to_matrix((np.radians(24.0), 0.0, 0.0)), _GRASS)
+    yield rectangle((66.0, -14.0, 1.6), (48.0, 5.0), euler_to_matrix((np.radians(-31.0), 0.0, 0.0)), _GRASS)
+    for x, y, turn in ((51.0, 0.0, 0.1), (58.5, -3.0, -0.2), (77.0, 1.0, 1.5), (54.0, 25.0, 0.15), (63.0, 27.0, -0.3)):
+        if rng.random() < 0.85:
+            yaw = turn + rng.normal(0.0, 0.15)
+            shade = Surface(reflectivity=rng.uniform(0.3, 0.7), contrast=0.3, period=0.28)
+            yield _standing(x + rng.normal(0.0, 0.4), y, (6.06, 2.44, 2.59), shade, yaw=yaw, z=_ramp_height(x))
+            if rng.random() < 0.4:
+                yield _standing(x, y, (6.06, 2.44, 2.59), _STEEL, yaw=yaw, z=_ramp_height(x) + 2.59)
+    for x, y in ((54.0, 11.0), (60.0, 13.0), (63.5, 10.5)):  # an island of goods inside the loop
+        yield _carton(rng, x, y, _ramp_height(x), (2.4, 1.4, 2.2))
+    for x, y in ((46.0, -2.0), (46.0, 26.0), (62.0, -7.0), (73.0, 22.0), (73.0, 2.5), (57.5, 20.8)):
+        yield cylinder((x, y, _ramp_height(x) + 3.5), 0.11, 7.0, None, _STEEL)
+    for x, y in rng.uniform((50.0, 30.5), (82.0, 35.0), (5, 2)):
+        yield cylinder((x, y, 1.6), 0.2, 3.2, None, _WOOD)
+        yield box((x, y, 4.2), rng.uniform(1.8, 2.8, 3), euler_to_matrix(rng.uniform(-0.5, 0.5, 3)), _GRASS)
+
+
+def warehouse(rng: np.random.Generator) -> Place:
+    """Return a hall with racks and a yard; the lap of about 150 m passes through both and through two gates."""
+    eye = 0.9
+    corners = [(7.0, 6.0), (48.0, 6.0), (58.0, 6.0), (69.0, 6.0), (69.0, 18.0), (58.0, 18.0), (48.0, 18.0)]
+    corners += [(20.0, 18.0), (20.0, 12.0), (4.0, 12.0), (4.0, 6.0)]
+    waypoints = np.array([(x, y, _ramp_height(x) + eye) for x, y in corners])
+    return Place(world=World([*_hall(rng), *_yard(rng)]), course=Course(waypoints=waypoints, corner=2.0))
+
+
+def room(rng: np.random.Generator) -> Place:
+    """Return a furnished room of 10 m by 7 m with a loop around its table."""
+    primitives = [
+        rectangle((5.0, 3.5, 0.0), (10.0, 7.0), _LEVEL, _WOOD),
+        rectangle((5.0, 3.5, 2.8), (10.0, 7.0), _LEVEL, _PANEL),
+        *(rectangle((x, 3.5, 1.4), (7.0, 2.8), _FACES_X, _PANEL) for x in (0.0, 10.0)),
+        *(rectangle((5.0, y, 1.4), (10.0, 2.8), _FACES_Y, _PANEL) for y in (0.0, 7.0)),
+        box((5.0, 3.5, 0.74), (2.6, 1.1, 0.05), None, _WOOD),
+        *(_standing(5.0 + i * 1.2, 3.5 + j * 0.45, (0.07, 0.07, 0.72), _WOOD) for i in (-1, 1) for j in (-1, 1)),
+        cylinder((8.9, 5.9, 1.4), 0.25, 2.8, None, _CONCRETE),
+        _standing(0.35, 3.0, (0.6, 2.2, 0.8), _WOOD),
+        _standing(3.0, 6.75, (2.2, 0.45, 2.0), _WOOD),
+        _standing(9.7, 1.8, (0.5, 1.6, 1.6), _BRICK),
+        _standing(5.5, 0.3, (3.0, 0.5, 1.0), _PANEL),
+        box((5.0, 3.5, 2.7), (1.2, 0.3, 0.1), None, _PANEL),
+    ]
+    for x, y in ((4.4, 2.6), (5.6, 2.6), (4.4, 4.4), (5.7, 4.4)):
+        primitives.append(_standing(x, y, (0.42, 0.42, 0.46), _WOOD, yaw=rng.uniform(-0.6, 0.6)))
+    for x, y, z in (
+        (0.35, 2.5, 0.8),
+        (5.0, 0.3, 1.0),
+        (6.2, 0.3, 1.0),
+        (9.7, 1.6, 1.6),
+        (0.5, 6.4, 0.0),
+        (9.4, 0.5, 0.0),
+    ):
+        primitives.append(_carton(rng, x, y, z, (0.45, 0.35, 0.5)))
+    waypoints = np.array([(5.0, 1.4, 1.4), (8.4, 1.4, 1.5), (8.2, 5.4, 1.3), (2.0, 5.5, 1.45), (1.7, 1.4, 1.35)])
+    return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=1.1))
+
+
+def tunnel(rng: np.random.Generator) -> Place:
+    """Return a straight tunnel of 160 m whose cross-section never changes; only a few niches tell where one is."""
+    primitives = [
+        rectangle((60.0, 0.0, 0.0), (160.0, 5.0), _LEVEL, _CONCRETE),
+        rectangle((60.0, 0.0, 4.5), (160.0, 5.0), _LEVEL, _CONCRETE),
+        *(rectangle((60.0, y, 2.25), (160.0, 4.5), _FACES_Y, _CONCRETE) for y in (-2.5, 2.5)),
+        *(rectangle((x, 0.0, 2.25), (5.0, 4.5), _FACES_X, _CONCRETE) for x in (-20.0, 140.0)),
+    ]
+    for x in rng.uniform(-10.0, 130.0, 4):
+        primitives.append(_standing(float(x), 2.3, (0.5, 0.3, 0.9), _STEEL))
+    waypoints = np.array([(0.0, 0.0, 1.2), (90.0, 0.0, 1.2)])
+    return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=1.0, closed=False))
+
+
+PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(
+    {"room": room, "tunnel": tunnel, "warehouse": warehouse}
+)

@@ -1,0 +1,192 @@
+"""Scenarios: every parameter of a simulated recording in one frozen record, kept as TOML beside it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from types import MappingProxyType
+from typing import Any, TypeVar, get_type_hints
+
+import tomli_w
+
+from heliograph.errors import ConfigError, closest
+from heliograph.sim.places import PLACES
+from heliograph.sim.sensors import GnssModel, ImuModel, LidarModel
+from heliograph.sim.trajectory import Gait
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+__all__ = ["SCENARIOS", "Mount", "Scenario", "Walk", "find_scenario", "from_toml", "to_toml"]
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Walk:
+    """How the course is walked.
+
+    Parameters
+    ----------
+    speed : float
+        Cruising speed [m/s].
+    rest : float
+        Standing still before the start [s].
+    ramp : float
+        Duration of the smooth start and of the stop [s].
+    after : float
+        Standing still after the stop [s].
+    begin : float
+        The recording begins this long after the beginning of the rest, so a larger value than ``rest`` starts it in
+        motion [s].
+    duration : float
+        Length of the recording; 0 means: to the end [s].
+    """
+
+    speed: float = 1.5
+    rest: float = 4.0
+    ramp: float = 2.0
+    after: float = 1.0
+    begin: float = 0.0
+    duration: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mount:
+    """How the sensors sit on the walker.
+
+    Parameters
+    ----------
+    rig_rpy_deg : (float, float, float)
+        Roll, pitch, yaw of the whole rig (IMU and LiDAR together) against the upright body [deg].
+    imu_rpy_deg : (float, float, float)
+        Further turn of the IMU alone [deg].
+    lever_arm : (float, float)
+        Range of the distance between IMU and LiDAR; direction and length are drawn by the seed [m].
+    rotation_deg : (float, float)
+        Range of the LiDAR's rotation against the rig; axis and angle are drawn by the seed [deg].
+    tf_static : bool
+        Whether the recording tells the mounting.
+    """
+
+    rig_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    imu_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lever_arm: tuple[float, float] = (0.05, 0.10)
+    rotation_deg: tuple[float, float] = (5.0, 20.0)
+    tf_static: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """All of a simulated recording but its seed.
+
+    Parameters
+    ----------
+    name : str
+        Shown to people.
+    place : str
+        Key of `heliograph.sim.places.PLACES`: the world and the course.
+    walk, gait, mount, lidar, imu, gnss
+        See their classes.
+    point_times : bool
+        False drops the per-point times of the records that `simulate` yields (a file's layout decides for itself).
+    """
+
+    name: str = "warehouse"
+    place: str = "warehouse"
+    walk: Walk = field(default_factory=Walk)
+    gait: Gait = field(default_factory=Gait)
+    mount: Mount = field(default_factory=Mount)
+    lidar: LidarModel = field(default_factory=LidarModel)
+    imu: ImuModel = field(default_factory=ImuModel)
+    gnss: GnssModel = field(default_factory=GnssModel)
+    point_times: bool = True
+
+    def __post_init__(self) -> None:
+        if self.place not in PLACES:
+            raise ConfigError(
+                f"place '{self.place}' is unknown; there are {', '.join(PLACES)}{closest(self.place, PLACES)}"
+            )
+
+    def thinned(
+        self, *, beams: int | None = None, columns: int | None = None, duration: float | None = None
+    ) -> Scenario:
+        """Return the same scenario with fewer rays or a shorter recording, for tests."""
+        lidar = replace(self.lidar, beams=beams or self.lidar.beams, columns=columns or self.lidar.columns)
+        walk = self.walk if duration is None else replace(self.walk, duration=duration)
+        return replace(self, lidar=lidar, walk=walk)
+
+    def varied(self, **changes: Mapping[str, Any]) -> Scenario:
+        """Return a copy with some fields of its parts changed.
+
+        Examples
+        --------
+        >>> SCENARIOS["warehouse"].varied(mount={"tf_static": False}, imu={"rate": 50.0}).imu.rate
+        50.0
+        """
+        return replace(self, **{part: replace(getattr(self, part), **values) for part, values in changes.items()})
+
+
+def to_toml(scenario: Scenario) -> str:
+    """Return the scenario as TOML; `from_toml` reads it back equal."""
+    return tomli_w.dumps(asdict(scenario))
+
+
+def from_toml(text: str) -> Scenario:
+    """Read a scenario from TOML; what is left out keeps its default.
+
+    Raises
+    ------
+    ConfigError
+        If the text is not TOML, or a key is unknown.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"not a scenario in TOML: {error}") from error
+    return _build(Scenario, table, "")
+
+
+def _build(cls: type[_T], table: Mapping[str, Any], where: str) -> _T:
+    hints = get_type_hints(cls)
+    names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
+    values = {}
+    for key, value in table.items():
+        if key not in names:
+            raise ConfigError(f"scenario key '{where}{key}' is unknown{closest(key, names)}")
+        if is_dataclass(hints[key]):
+            value = _build(hints[key], value, f"{where}{key}.")  # type: ignore[arg-type]
+        elif isinstance(value, list):
+            value = tuple(value)
+        values[key] = value
+    return cls(**values)
+
+
+def _registry() -> dict[str, Scenario]:
+    warehouse = Scenario()
+    handheld = Gait(frequency=1.9, bounce=0.015, lateral=0.02, roll_deg=4.0, pitch_deg=3.0, yaw_deg=8.0)
+    return {
+        "warehouse": warehouse,
+        "demo": replace(warehouse, name="demo").thinned(columns=512, duration=30.0),
+        "room": Scenario(
+            name="room",
+            place="room",
+            walk=Walk(speed=0.8, rest=3.0, ramp=1.5),
+            gait=handheld,
+            lidar=LidarModel(beams=32, columns=512, elevation_deg=(-30.0, 30.0), min_range=0.3, max_range=40.0),
+        ),
+        "tunnel": Scenario(name="tunnel", place="tunnel", gnss=GnssModel(rate=0.0)),
+    }
+
+
+SCENARIOS: MappingProxyType[str, Scenario] = MappingProxyType(_registry())
+
+
+def find_scenario(name: str) -> Scenario:
+    """Return a scenario by name, or raise `ConfigError` with the names there are."""
+    if name not in SCENARIOS:
+        raise ConfigError(f"scenario '{name}' is unknown; there are {', '.join(SCENARIOS)}{closest(name, SCENARIOS)}")
+    return SCENARIOS[name]

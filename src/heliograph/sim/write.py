@@ -1,0 +1,229 @@
+"""Simulated recordings as files: an MCAP in ROS 2 form, ground truth beside it, and the scenario that made them."""
+
+from __future__ import annotations
+
+import heapq
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from heliograph.errors import OutputError
+from heliograph.sim.layouts import Layout, find_layout
+from heliograph.sim.messages import Messages, quaternion_xyzw
+from heliograph.sim.rotation import rigid
+from heliograph.sim.scenario import Scenario, to_toml
+from heliograph.sim.simulate import EPOCH_NS, Simulation
+
+__all__ = ["Recording", "write_recording"]
+
+_Message = tuple[int, int, str, bytes | memoryview]
+_TYPES = {
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/imu/data": "sensor_msgs/msg/Imu",
+    "/gnss/fix": "sensor_msgs/msg/NavSatFix",
+}
+_POINTS = "/points"
+_IMU_FRAME = "imu_link"
+_BODY_FRAME = "base_link"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recording:
+    """What `write_recording` wrote.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds everything below; itself a ROS 2 bag.
+    recording, groundtruth_imu, groundtruth_lidar, scenario : Path
+        The files.
+    sweeps, imu_samples : int
+        Messages written.
+    duration : float
+        Of the recording [s].
+    """
+
+    folder: Path
+    recording: Path
+    groundtruth_imu: Path
+    groundtruth_lidar: Path
+    scenario: Path
+    sweeps: int
+    imu_samples: int
+    duration: float
+
+
+def write_recording(
+    out_dir: Path | str,
+    scenario: Scenario,
+    seed: int,
+    *,
+    layout: str = "ouster",
+    threads: int = 1,
+    compress: bool = True,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Recording:
+    """Simulate a scenario and write it as a recording.
+
+    Parameters
+    ----------
+    out_dir : Path
+        Made if absent; afterwards it holds ``recording.mcap``, ``metadata.yaml``, ``groundtruth_imu.tum``,
+        ``groundtruth_lidar.tum`` (world frame, one row an IMU sample) and ``scenario.toml``.
+    scenario : Scenario
+        What to simulate.
+    seed : int
+        The same seed gives the same files, in every layout the same points.
+    layout : str
+        Key of `heliograph.sim.layouts.LAYOUTS`: which driver's message the points are written as.
+    threads : int
+        For ray casting.
+    compress : bool
+        Compress the MCAP's chunks with zstd.
+    overwrite : bool
+        Replace a recording that is there already.
+    progress : callable, optional
+        Called with (sweeps done, sweeps in all) after each sweep.
+
+    Raises
+    ------
+    ConfigError
+        If the layout is unknown.
+    OutputError
+        If the folder cannot be written, or holds a recording and ``overwrite`` is false.
+    """
+    chosen = find_layout(layout)
+    simulation = Simulation(scenario, seed, threads=threads)
+    folder = Path(out_dir)
+    if (folder / "recording.mcap").exists() and not overwrite:
+        raise OutputError(f"{folder} holds a recording already; choose another folder or overwrite it")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        sweeps = _write_bag(folder, simulation, chosen, compress=compress, progress=progress)
+        truth = simulation.truth
+        imu_tum, lidar_tum, toml = (
+            folder / name for name in ("groundtruth_imu.tum", "groundtruth_lidar.tum", "scenario.toml")
+        )
+        stamps = simulation.imu_stamps_ns
+        _write_tum(imu_tum, "imu", stamps, truth.pose(stamps))
+        _write_tum(lidar_tum, "lidar", stamps, truth.lidar_pose(stamps))
+        toml.write_text(f"# seed {seed}, layout {layout}\n{to_toml(scenario)}", encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{folder} cannot be written: {error.strerror or error}") from error
+    return Recording(
+        folder=folder,
+        recording=folder / "recording.mcap",
+        groundtruth_imu=imu_tum,
+        groundtruth_lidar=lidar_tum,
+        scenario=toml,
+        sweeps=sweeps,
+        imu_samples=len(stamps),
+        duration=simulation.duration_ns * 1e-9,
+    )
+
+
+def _write_bag(
+    folder: Path,
+    simulation: Simulation,
+    layout: Layout,
+    *,
+    compress: bool,
+    progress: Callable[[int, int], None] | None,
+) -> int:
+    """Write ``recording.mcap`` and ``metadata.yaml``; return the number of sweeps."""
+    # The writer wants a new folder and names the file after it; both files then move up into the recording's own.
+    scratch = folder / "recording"
+    shutil.rmtree(scratch, ignore_errors=True)
+    writer = Writer(scratch, version=9, storage_plugin=StoragePlugin.MCAP)
+    if compress:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    messages = Messages()
+    total, done = simulation.sweep_count(), 0
+    with writer:
+        types = {**_TYPES, _POINTS: layout.message_type}
+        connections = {
+            topic: writer.add_connection(
+                topic,
+                kind,
+                typestore=messages.store,
+                offered_qos_profiles=[_latched()] if topic == "/tf_static" else [],
+            )
+            for topic, kind in types.items()
+        }
+        for received_ns, _, topic, data in heapq.merge(
+            _transforms(simulation, layout, messages),
+            _inertial(simulation, messages),
+            _fixes(simulation, messages),
+            _clouds(simulation, layout, messages),
+            key=lambda message: message[:2],
+        ):
+            writer.write(connections[topic], received_ns, data)
+            if topic == _POINTS:
+                done += 1
+                if progress is not None:
+                    progress(done, total)
+    for name in ("recording.mcap", "metadata.yaml"):
+        (scratch / name).replace(folder / name)
+    scratch.rmdir()
+    return done
+
+
+def _latched() -> Qos:
+    """Return the quality of service that late subscribers to /tf_static rely on."""
+    forever = QosTime(sec=9223372036, nsec=854775807)
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1,
+        reliability=QosReliability.RELIABLE,
+        durability=QosDurability.TRANSIENT_LOCAL,
+        deadline=forever,
+        lifespan=forever,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=forever,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def _transforms(simulation: Simulation, layout: Layout, messages: Messages) -> Iterator[_Message]:
+    if not simulation.scenario.mount.tf_static:
+        return
+    mounting = simulation.mounting
+    edges = [
+        (_BODY_FRAME, _IMU_FRAME, rigid(mounting.R_body_imu, np.zeros(3))),
+        (_BODY_FRAME, layout.frame_id, mounting.T_body_lidar),
+    ]
+    yield EPOCH_NS, 0, "/tf_static", messages.transforms(EPOCH_NS, edges)
+
+
+def _inertial(simulation: Simulation, messages: Messages) -> Iterator[_Message]:
+    stamps = simulation.imu_stamps_ns
+    serialised = messages.imu(stamps, *simulation.imu(), _IMU_FRAME)
+    for stamp, data in zip(stamps.tolist(), serialised, strict=True):
+        yield stamp, 1, "/imu/data", data
+
+
+def _fixes(simulation: Simulation, messages: Messages) -> Iterator[_Message]:
+    for fix in simulation.fixes():
+        yield fix.received_ns, 2, "/gnss/fix", messages.fix(fix)
+
+
+def _clouds(simulation: Simulation, layout: Layout, messages: Messages) -> Iterator[_Message]:
+    for sweep in simulation.sweeps():
+        yield sweep.end_ns, 3, _POINTS, messages.cloud(layout, layout.pack(sweep, layout.dtype))
+
+
+def _write_tum(path: Path, body: str, stamps_ns: NDArray[np.int64], T_world_body: NDArray[np.float64]) -> None:
+    """Write ``stamp x y z qx qy qz qw`` rows: seconds with 9 decimals, metres, unit quaternion."""
+    rows = np.hstack([T_world_body[:, :3, 3], quaternion_xyzw(T_world_body[:, :3, :3])])
+    with path.open("w", encoding="utf-8") as file:
+        file.write(f"# T_world_{body}: stamp [s] x y z [m] qx qy qz qw; exact, one row an IMU sample\n")
+        for stamp, row in zip(stamps_ns.tolist(), rows.tolist(), strict=True):
+            seconds = f"{stamp // 10**9}.{stamp % 10**9:09d}"
+            file.write(seconds + " " + " ".join(f"{value:.9f}" for value in row) + "\n")
