@@ -1,0 +1,15 @@
+"""Placeholder until the reader of the 'files' part is merged: it knows no input."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from heliograph.io.raw import RawSource
+
+__all__ = ["open_cloud_folder"]
+
+
+def open_cloud_folder(paths: Sequence[Path]) -> RawSource | None:  # noqa: ARG001
+    """Return None: no input is of this kind."""
+    return None
