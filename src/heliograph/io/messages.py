@@ -1,0 +1,285 @@
+"""Decoders from a message's bytes to raw records, for the CDR (ROS 2) and the ROS 1 serialisation.
+
+A generic deserialiser builds an object a field; these read only what the estimation uses and leave a cloud where it
+is: its columns are strided views of the payload. Layouts: OMG CDR 1.0 (primitives aligned to their size, counted
+from the byte after the 4-byte encapsulation header) and the ROS 1 serialisation (no alignment, a sequence number
+first in the header).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.errors import DataError
+from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawTransform
+
+__all__ = ["DECODERS", "KINDS", "Decoder", "point_columns"]
+
+Decoder = Callable[[str, int, memoryview, str], list[RawMessage]]
+"""Topic, time received [ns], payload, encoding -> raw records (one, or one an edge for tf)."""
+
+POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+LIVOX_COLUMNS = {
+    "offset_time": ("u4", 0),
+    "x": ("f4", 4),
+    "y": ("f4", 8),
+    "z": ("f4", 12),
+    "reflectivity": ("u1", 16),
+    "tag": ("u1", 17),
+    "line": ("u1", 18),
+}
+
+
+@lru_cache(maxsize=64)
+def _struct(layout: str) -> struct.Struct:
+    return struct.Struct(layout)
+
+
+class _Cursor:
+    """Reads primitives from a payload, aligned as its encoding asks."""
+
+    __slots__ = ("at", "base", "cdr", "data", "order")
+
+    def __init__(self, data: memoryview, encoding: str) -> None:
+        self.data = data
+        self.cdr = encoding == "cdr"
+        self.base = 4 if self.cdr else 0
+        self.order = ">" if self.cdr and data[1] & 1 == 0 else "<"
+        self.at = self.base
+
+    def take(self, layout: str, align: int) -> tuple[int | float, ...]:
+        """Read equal-sized primitives of size ``align``."""
+        if self.cdr:
+            self.at += -(self.at - self.base) % align
+        reader = _struct(self.order + layout)
+        values = reader.unpack_from(self.data, self.at)
+        self.at += reader.size
+        return values
+
+    def integer(self, code: str, align: int) -> int:
+        return int(self.take(code, align)[0])
+
+    def text(self) -> str:
+        size = self.integer("I", 4)
+        value = bytes(self.data[self.at : self.at + size])
+        self.at += size
+        return value.rstrip(b"\0").decode(errors="replace")
+
+    def header(self) -> tuple[int, str]:
+        """Read a ``std_msgs/Header``; its stamp [ns] and frame."""
+        if self.cdr:
+            seconds, nanoseconds = self.take("iI", 4)
+        else:
+            _, seconds, nanoseconds = self.take("III", 4)
+        return int(seconds) * 1_000_000_000 + int(nanoseconds), self.text()
+
+
+def point_columns(
+    data: memoryview,
+    fields: tuple[tuple[str, int, int, int], ...],
+    order: str,
+    shape: tuple[int, int],
+    steps: tuple[int, int],
+) -> dict[str, NDArray[np.generic]]:
+    """Return the columns of a ``PointCloud2`` as views of its data.
+
+    Parameters
+    ----------
+    data : memoryview
+        The message's ``data``.
+    fields : tuple of (name, offset, datatype, count)
+        As in the message; of a field with several values only the first is kept, unnamed padding is left out.
+    order : str
+        ``"<"`` or ``">"``.
+    shape : (height, width)
+        A cloud of one row gives columns of shape (width,), else (height, width).
+    steps : (row_step, point_step)
+        Bytes from one row, one point to the next.
+
+    Raises
+    ------
+    DataError
+        A field reaches beyond its point, or the data are shorter than the header says.
+    """
+    height, width = shape
+    row_step, point_step = steps
+    columns: dict[str, NDArray[np.generic]] = {}
+    for name, offset, datatype, count in fields:
+        kind = POINT_TYPES.get(datatype)
+        if kind is None or not name or count == 0:
+            continue
+        dtype = np.dtype(order + kind)
+        if offset + dtype.itemsize > point_step:
+            raise DataError(f"field '{name}' ends at byte {offset + dtype.itemsize} of a {point_step}-byte point")
+        if height * width == 0:
+            columns[name] = np.empty(0, dtype)
+            continue
+        size, strides = ((width,), (point_step,)) if height == 1 else ((height, width), (row_step, point_step))
+        try:
+            columns[name] = np.ndarray(size, dtype, buffer=data, offset=offset, strides=strides)
+        except (TypeError, ValueError) as error:
+            raise DataError(f"{len(data)} bytes for {height} x {width} points of {point_step} bytes") from error
+    return columns
+
+
+def _decode_cloud(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+    """``sensor_msgs/PointCloud2``."""
+    cursor = _Cursor(payload, encoding)
+    stamp_ns, frame = cursor.header()
+    height, width, number = (int(v) for v in cursor.take("III", 4))
+    fields = []
+    for _ in range(number):
+        name = cursor.text()
+        offset = cursor.integer("I", 4)
+        datatype = cursor.integer("B", 1)
+        fields.append((name, offset, datatype, cursor.integer("I", 4)))
+    big = cursor.integer("B", 1)
+    point_step, row_step, size = (int(v) for v in cursor.take("III", 4))
+    data = payload[cursor.at : cursor.at + size]
+    # Some drivers leave row_step unset; a sane one covers its points.
+    row_step = row_step if row_step >= width * point_step else width * point_step
+    columns = point_columns(data, tuple(fields), ">" if big else "<", (height, width), (row_step, point_step))
+    return [RawCloud(topic=topic, received_ns=received_ns, stamp_ns=stamp_ns, frame_id=frame, columns=columns)]
+
+
+def _decode_livox(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+    """``livox_ros_driver*/CustomMsg``: points of 19 bytes, aligned to 20 in CDR (the last one is not padded)."""
+    cursor = _Cursor(payload, encoding)
+    stamp_ns, frame = cursor.header()
+    base_ns = cursor.integer("Q", 8)
+    cursor.take("I", 4)  # point_num repeats the length of the sequence
+    cursor.take("4B", 1)  # lidar_id, rsvd
+    number = cursor.integer("I", 4)
+    step = 20 if cursor.cdr else 19
+    data = payload[cursor.at :]
+    columns: dict[str, NDArray[np.generic]] = {}
+    for name, (kind, offset) in LIVOX_COLUMNS.items():
+        dtype = np.dtype(cursor.order + kind)
+        if number * step > len(data) + 1:
+            raise DataError(f"{len(data)} bytes for {number} Livox points of {step} bytes")
+        columns[name] = (
+            np.ndarray((number,), dtype, buffer=data, offset=offset, strides=(step,)) if number else np.empty(0, dtype)
+        )
+    cloud = RawCloud(
+        topic=topic,
+        received_ns=received_ns,
+        stamp_ns=stamp_ns,
+        frame_id=frame,
+        columns=columns,
+        layout="livox/CustomMsg",
+        base_time_ns=base_ns,
+    )
+    return [cloud]
+
+
+def _decode_imu(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+    """``sensor_msgs/Imu``."""
+    cursor = _Cursor(payload, encoding)
+    stamp_ns, frame = cursor.header()
+    v = cursor.take("37d", 8)  # orientation, its covariance, rate, its covariance, specific force, its covariance
+    # An IMU without orientation says so with a first covariance of -1, or leaves the quaternion at zero.
+    oriented = v[4] != -1.0 and abs(v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + v[3] * v[3] - 1.0) < 0.1
+    return [
+        RawImu(
+            topic=topic,
+            received_ns=received_ns,
+            stamp_ns=stamp_ns,
+            frame_id=frame,
+            gyro=v[13:16],  # type: ignore[arg-type]
+            accel=v[25:28],  # type: ignore[arg-type]
+            has_orientation=oriented,
+        )
+    ]
+
+
+def _decode_fix(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+    """``sensor_msgs/NavSatFix``."""
+    cursor = _Cursor(payload, encoding)
+    stamp_ns, frame = cursor.header()
+    status = cursor.integer("b", 1)
+    cursor.take("H", 2)
+    values = cursor.take("12d", 8)
+    kind = cursor.integer("B", 1)
+    covariance = np.array(values[3:], dtype=np.float64).reshape(3, 3) if kind != 0 else None
+    return [
+        RawFix(
+            topic=topic,
+            received_ns=received_ns,
+            stamp_ns=stamp_ns,
+            frame_id=frame,
+            latitude_deg=float(values[0]),
+            longitude_deg=float(values[1]),
+            altitude=float(values[2]),
+            covariance_enu=covariance,
+            valid=status >= 0 and bool(np.isfinite(values[:3]).all()),
+        )
+    ]
+
+
+def _decode_tf(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+    """``tf2_msgs/TFMessage``."""
+    cursor = _Cursor(payload, encoding)
+    found: list[RawMessage] = []
+    for _ in range(cursor.integer("I", 4)):
+        _, parent = cursor.header()
+        child = cursor.text()
+        values = np.array(cursor.take("7d", 8), dtype=np.float64)
+        T = np.eye(4)
+        T[:3, :3] = quaternion_matrix(values[3:])
+        T[:3, 3] = values[:3]
+        found.append(
+            RawTransform(
+                topic=topic,
+                received_ns=received_ns,
+                parent=parent.lstrip("/"),
+                child=child.lstrip("/"),
+                T_parent_child=T,
+                static="static" in topic,
+            )
+        )
+    return found
+
+
+def quaternion_matrix(xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (3, 3) rotation of a quaternion, normalised; the identity for a zero quaternion."""
+    norm = float(np.linalg.norm(xyzw))
+    if not norm > 0.0:
+        return np.eye(3)
+    x, y, z, w = xyzw / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+DECODERS: dict[str, Decoder] = {
+    "sensor_msgs/msg/PointCloud2": _decode_cloud,
+    "livox_ros_driver/msg/CustomMsg": _decode_livox,
+    "livox_ros_driver2/msg/CustomMsg": _decode_livox,
+    "livox_interfaces/msg/CustomMsg": _decode_livox,
+    "sensor_msgs/msg/Imu": _decode_imu,
+    "sensor_msgs/msg/NavSatFix": _decode_fix,
+    "tf2_msgs/msg/TFMessage": _decode_tf,
+    "tf/msg/tfMessage": _decode_tf,
+}
+"""Message type -> decoder."""
+
+KINDS: dict[str, str] = {
+    "sensor_msgs/msg/PointCloud2": "lidar",
+    "livox_ros_driver/msg/CustomMsg": "lidar",
+    "livox_ros_driver2/msg/CustomMsg": "lidar",
+    "livox_interfaces/msg/CustomMsg": "lidar",
+    "sensor_msgs/msg/Imu": "imu",
+    "sensor_msgs/msg/NavSatFix": "gnss",
+    "tf2_msgs/msg/TFMessage": "tf",
+    "tf/msg/tfMessage": "tf",
+}
+"""Message type -> `TopicInfo.kind`."""

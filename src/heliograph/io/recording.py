@@ -1,0 +1,295 @@
+"""A recording as the estimators see it: sensors in SI units, in the order in which they came in."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.config import InputConfig
+from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan
+from heliograph.errors import CalibrationError, DataError, closest
+from heliograph.io.inference import Inference
+from heliograph.io.interpret import Interpretation, interpret
+from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo
+from heliograph.io.registry import open_raw_source
+from heliograph.io.rosbag import RosbagSource
+from heliograph.io.scans import to_scan
+from heliograph.io.tally import StreamTally
+
+__all__ = ["Recording", "open_recording"]
+
+BATCH = 256  # samples; bounds how long an estimator waits where no scan comes
+Measurement = Scan | ImuBatch | GnssFix
+
+
+def open_recording(
+    paths: Sequence[Path | str] | Path | str, config: InputConfig | None = None, *, sensors: str = "auto"
+) -> Recording:
+    """Open a recording and infer what its messages mean.
+
+    Parameters
+    ----------
+    paths : path or sequence of paths
+        A file, a folder, or several that belong together.
+    config : InputConfig
+        Overrides of what would be inferred, and the part to use.
+    sensors : str
+        ``"auto"``, ``"lidar,imu"``, ``"lidar"`` or ``"imu"``.
+
+    Returns
+    -------
+    Recording
+        Close it, or use it in a ``with`` statement.
+
+    Raises
+    ------
+    FormatError
+        A path is missing or no recording.
+    TopicError, DataError
+        A topic or sensor that was asked for is not there.
+
+    Examples
+    --------
+    >>> with open_recording("drive.mcap") as recording:  # doctest: +SKIP
+    ...     for measurement in recording.stream():
+    ...         print(measurement.received_ns)
+    """
+    config = config or InputConfig()
+    given = [paths] if isinstance(paths, str | Path) else list(paths)
+    source = open_raw_source([Path(path) for path in given])
+    try:
+        return Recording(source, interpret(source, config, sensors), config)
+    except BaseException:
+        source.close()
+        raise
+
+
+class Recording:
+    """An opened recording; see `open_recording`.
+
+    Attributes
+    ----------
+    inferences : tuple of Inference
+        What was concluded from the data, with the evidence.
+    topics : tuple of TopicInfo
+        All topics of the container.
+    rig : Rig
+        The LiDAR on the IMU.
+    sensors : frozenset of str
+        Of ``"lidar"``, ``"imu"``, ``"gnss"``.
+    """
+
+    def __init__(self, source: RawSource, interpretation: Interpretation, config: InputConfig) -> None:
+        self._source = source
+        self._config = config
+        self.interpretation = interpretation
+        self.tally = self._new_tally()
+        self.inferences: tuple[Inference, ...] = interpretation.inferences
+        self.topics: tuple[TopicInfo, ...] = source.topics
+        self.rig: Rig = interpretation.mounting.rig
+        names = {"lidar": interpretation.lidar, "imu": interpretation.imu, "gnss": interpretation.gnss}
+        self.sensors = frozenset(name for name, topic in names.items() if topic)
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the files."""
+        self._source.close()
+
+    @property
+    def description(self) -> str:
+        """The recording's name."""
+        return self._source.description
+
+    @property
+    def events(self) -> list[Event]:
+        """Warnings so far: of opening, of the files, and of the stream read last."""
+        return [*self.interpretation.events, *self._source.events, *self.tally.events()]
+
+    @property
+    def total_scans(self) -> int | None:
+        """Scans to expect from `stream`, for progress; None where the container does not tell."""
+        topic = next((t for t in self.topics if t.name == self.interpretation.lidar), None)
+        if topic is None or topic.kind != "lidar":
+            return None
+        total = topic.count
+        if self._config.start > 0 or self._config.duration > 0:
+            period = self.interpretation.timing.period_ns / 1e9
+            total = max(0, total - round(self._config.start / period))
+            if self._config.duration > 0:
+                total = min(total, round(self._config.duration / period))
+        return total
+
+    def transform(self, child: str) -> NDArray[np.float64]:
+        """Return ``T_imu_child`` (4, 4) for a frame of the recording, or for ``"imu"`` and ``"lidar"``.
+
+        Raises
+        ------
+        CalibrationError
+            No tf links the frame with the IMU or the LiDAR; the message lists the frames.
+        """
+        if child in ("imu", self.interpretation.imu_frame):
+            return np.eye(4)
+        if child in ("lidar", self.interpretation.lidar_frame):
+            return self.rig.T_imu_lidar
+        frames = self.interpretation.frames
+        link = frames.find(self.interpretation.imu_frame, child)
+        if link is not None:
+            return link[0]
+        link = frames.find(self.interpretation.lidar_frame, child)
+        if link is not None:
+            T: NDArray[np.float64] = self.rig.T_imu_lidar @ link[0]
+            return T
+        known = ("imu", "lidar", *frames.frames)
+        raise CalibrationError(
+            f"no tf links frame '{child}' with the sensors; known frames: {', '.join(known)}{closest(child, known)}"
+        )
+
+    def stream(self) -> Iterator[Measurement]:
+        """Yield scans, IMU batches and fixes in the order in which they were received.
+
+        A batch holds the samples between two other messages, 256 at most. Messages whose stamp repeats or runs back
+        are dropped and counted (see `events`); after the first message, damage ends the stream early instead of
+        raising.
+        """
+        self.tally = self._new_tally()
+        pending: list[RawImu] = []
+        for message in self._messages():
+            if isinstance(message, RawImu):
+                if self._accept_imu(message):
+                    pending.append(message)
+                if len(pending) >= BATCH:
+                    yield self._batch(pending)
+                    pending = []
+                continue
+            converted = self._convert(message)
+            if converted is None:
+                continue
+            if pending:
+                yield self._batch(pending)
+                pending = []
+            yield converted
+        if pending:
+            yield self._batch(pending)
+
+    def survey(self) -> StreamTally:
+        """Read the whole recording without converting it, and return the counts of its streams."""
+        self.tally = self._new_tally()
+        for message in self._messages():
+            if isinstance(message, RawImu):
+                self._accept_imu(message)
+            elif isinstance(message, RawCloud):
+                if self._accept_cloud(message):
+                    self.tally.points += message.columns["x"].size
+            elif isinstance(message, RawFix):
+                self.tally.gnss.accept(message.stamp_ns, message.received_ns)
+        return self.tally
+
+    def summary(self) -> dict[str, object]:
+        """Return the recording in plain values for ``run.json``; the counts are those of the stream read last."""
+        found = self.interpretation
+        rig = self.rig
+        streams = {"lidar": self.tally.lidar, "imu": self.tally.imu, "gnss": self.tally.gnss}
+        seen = [watch for name, watch in streams.items() if name in self.sensors and watch.count]
+        first, last = min((w.first_ns for w in seen), default=0), max((w.last_ns for w in seen), default=0)
+        return {
+            "recording": self.description,
+            "sensors": sorted(self.sensors),
+            "duration_s": (last - first) / 1e9,
+            "start_ns": first,
+            "end_ns": last,
+            "topics": {"lidar": found.lidar, "imu": found.imu, "gnss": found.gnss},
+            "frames": {"lidar": found.lidar_frame, "imu": found.imu_frame},
+            "streams": {name: watch.summary() for name, watch in streams.items() if name in self.sensors},
+            "scan_period_s": found.timing.period_ns / 1e9,
+            "points_per_scan": found.points_per_scan,
+            "has_orientation": found.has_orientation,
+            "T_imu_lidar": rig.T_imu_lidar.tolist(),
+            "mounting": {"source": rig.source, "known": rig.known},
+            "inferences": [
+                {"name": i.name, "value": i.value, "evidence": i.evidence, "source": i.source} for i in self.inferences
+            ],
+        }
+
+    def _new_tally(self) -> StreamTally:
+        return StreamTally.expecting(self.interpretation.timing.period_ns, self.interpretation.imu_period_ns)
+
+    def _messages(self) -> Iterator[RawMessage]:
+        found = self.interpretation
+        topics = frozenset(topic for topic in (found.lidar, found.imu, found.gnss) if topic)
+        start_ns = found.start_ns + round(self._config.start * 1e9)
+        end_ns = start_ns + round(self._config.duration * 1e9) if self._config.duration > 0 else None
+        if isinstance(self._source, RosbagSource):  # can skip to the start without decoding
+            messages = self._source.messages(topics, start_ns if self._config.start > 0 else 0)
+        else:
+            messages = self._source.messages(topics)
+        for message in messages:
+            if self._config.start > 0 and message.received_ns < start_ns:
+                continue
+            if end_ns is not None and message.received_ns > end_ns:
+                return
+            yield message
+
+    def _accept_imu(self, message: RawImu) -> bool:
+        if not np.isfinite(sum(message.gyro) + sum(message.accel)):
+            self.tally.imu.bad += 1
+            return False
+        return self.tally.imu.accept(message.stamp_ns, message.received_ns)
+
+    def _accept_cloud(self, message: RawCloud) -> bool:
+        stamp_ns = message.stamp_ns if self.interpretation.timing.stamp == "header" else message.received_ns
+        return self.tally.lidar.accept(stamp_ns, message.received_ns)
+
+    def _convert(self, message: RawMessage) -> Measurement | None:
+        if isinstance(message, RawCloud):
+            return self._scan(message)
+        if isinstance(message, RawFix) and self.tally.gnss.accept(message.stamp_ns, message.received_ns):
+            return GnssFix(
+                stamp_ns=message.stamp_ns,
+                received_ns=message.received_ns,
+                latitude_deg=message.latitude_deg,
+                longitude_deg=message.longitude_deg,
+                altitude=message.altitude,
+                covariance_enu=message.covariance_enu,
+                valid=message.valid,
+                frame_id=message.frame_id,
+            )
+        return None
+
+    def _scan(self, message: RawCloud) -> Scan | None:
+        if not self._accept_cloud(message):
+            return None
+        try:
+            scan = to_scan(message, self.interpretation.timing)
+        except DataError:
+            self.tally.lidar.bad += 1
+            return None
+        if len(scan) == 0:
+            self.tally.lidar.empty += 1
+        self.tally.points += len(scan)
+        return replace(scan, frame_id=self.interpretation.lidar_frame or "lidar")
+
+    def _batch(self, samples: list[RawImu]) -> ImuBatch:
+        units = self.interpretation.units
+        if units is None:
+            raise DataError(
+                "an IMU sample came from a recording without IMU topic"
+            )  # cannot happen: topics are filtered
+        return ImuBatch(
+            stamps_ns=np.array([s.stamp_ns for s in samples], dtype=np.int64),
+            gyro=np.array([s.gyro for s in samples], dtype=np.float64) * units.gyro,
+            accel=np.array([s.accel for s in samples], dtype=np.float64) * units.accel,
+            received_ns=samples[-1].received_ns,
+            frame_id=samples[-1].frame_id or "imu",
+        )

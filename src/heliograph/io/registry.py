@@ -1,0 +1,125 @@
+"""Which reader opens which input, in one list, and what a packet topic needs to become points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.errors import DataError, FormatError
+from heliograph.io.raw import RawMessage, RawSource, TopicInfo
+
+__all__ = ["OPENERS", "PACKET_DRIVERS", "PacketContext", "PacketDecoder", "open_raw_source", "packet_decoder"]
+
+OPENERS: tuple[tuple[str, str], ...] = (
+    ("heliograph.io.rosbag", "open_rosbag"),
+    ("heliograph.io.pcap", "open_pcap"),
+    ("heliograph.io.kitti", "open_kitti"),
+    ("heliograph.io.folders", "open_cloud_folder"),
+)
+"""Module and function of every reader, asked in this order. ``opener(paths)`` returns a `RawSource`, or None for
+another kind."""
+
+PACKET_DRIVERS: Mapping[str, str] = {
+    "ouster_sensor_msgs/msg/PacketMsg": "ouster",
+    "ouster_ros/msg/PacketMsg": "ouster",
+    "velodyne_msgs/msg/VelodyneScan": "velodyne",
+    "hesai_ros_driver/msg/UdpFrame": "hesai_ros_driver",
+    "pandar_msgs/msg/PandarScan": "HesaiLidar_General_ROS or nebula",
+    "nebula_msgs/msg/NebulaPackets": "nebula",
+    "rslidar_msg/msg/RslidarPacket": "rslidar_sdk",
+    "rslidar_msgs/msg/rslidarScan": "rslidar_sdk",
+}
+"""Packet message type -> the driver that makes points of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PacketContext:
+    """What a packet decoder may need beside the packets.
+
+    Parameters
+    ----------
+    files : tuple of Path
+        The recording's files; metadata may lie beside them.
+    topics : tuple of TopicInfo
+        Of the recording.
+    texts : mapping of str to str
+        Topic -> content of the first ``std_msgs/String`` on it (Ouster's metadata).
+    """
+
+    files: tuple[Path, ...]
+    topics: tuple[TopicInfo, ...]
+    texts: Mapping[str, str]
+
+
+class PacketDecoder(Protocol):
+    """Turns packet messages into raw clouds and samples; it keeps the packets of an unfinished sweep."""
+
+    def decode(self, topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+        """Return what the message completes."""
+        ...
+
+    def finish(self) -> list[RawMessage]:
+        """Return what is left when the stream has ended: the last sweep, whole or not."""
+        ...
+
+    def factory_T_imu_lidar(self) -> tuple[NDArray[np.float64], str] | None:
+        """Return the sensor's own ``T_imu_lidar`` and its name, where the metadata tell it."""
+        ...
+
+
+def packet_decoder(message_type: str, context: PacketContext) -> PacketDecoder:
+    """Return a fresh decoder for a packet type.
+
+    Raises
+    ------
+    DataError
+        No decoder for this type; the message names the driver that makes points.
+    MissingDependencyError
+        Its vendor's package is not installed.
+    """
+    factories: Mapping[str, Callable[[PacketContext], PacketDecoder]] = import_module(
+        "heliograph.io.packets"
+    ).PACKET_DECODERS
+    if message_type not in factories:
+        driver = PACKET_DRIVERS.get(message_type, "its driver")
+        raise DataError(
+            f"{message_type} holds packets, not points; replay it through {driver} and record its PointCloud2"
+        )
+    return factories[message_type](context)
+
+
+def open_raw_source(paths: Sequence[Path]) -> RawSource:
+    """Open files or folders with the first reader that knows them.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        One recording: a file, a folder, or several of them that belong together.
+
+    Raises
+    ------
+    FormatError
+        A path does not exist, is empty, or is no recording that any reader knows.
+    """
+    if not paths:
+        raise DataError("no recording given; name a file or a folder")
+    for path in paths:
+        if not path.exists():
+            raise FormatError(path, "no such file or folder; check the path")
+        if path.is_dir() and not any(path.iterdir()):
+            raise FormatError(path, "the folder is empty; name a folder that holds a recording")
+        if path.is_file() and path.stat().st_size == 0:
+            raise FormatError(path, "the file is empty; record or download it again")
+    for module, function in OPENERS:
+        opener: Any = getattr(import_module(module), function)
+        source: RawSource | None = opener(paths)
+        if source is not None:
+            return source
+    known = "ROS 1 or 2 bag, MCAP, pcap, KITTI folder, folder of PCD or PLY"
+    raise FormatError(paths[0], f"not a recording that Heliograph reads ({known})")
