@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from rosbags.typesys.store import Typestore
 from heliograph.data import GnssFix
 from heliograph.lie import so3
 from heliograph.sim.layouts import Layout, PackedCloud
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Msg
 
 __all__ = ["Messages"]
 
@@ -39,7 +42,7 @@ class Messages:
         self.store = _typestore()
         self._types = self.store.types
 
-    def _header(self, stamp_ns: int, frame_id: str) -> Any:
+    def _header(self, stamp_ns: int, frame_id: str) -> Msg:
         stamp = self._types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
         return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
 
