@@ -228,6 +228,8 @@ class RosbagSource:
                 message = f"a message on {channel.topic} cannot be decoded ({error}); such messages are skipped"
                 if not any(e.code == "bad-message" and channel.topic in e.message for e in self.events):
                     self.events.append(Event(code="bad-message", message=message, stamp_ns=received_ns))
+        for decoder in packets.values():
+            yield from decoder.finish()
 
     def _payloads(self, topics: frozenset[str], start_ns: int) -> Iterator[RawBytes]:
         streams = [

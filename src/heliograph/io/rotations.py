@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["quaternions_from_rotations", "rotations_from_quaternions"]
+__all__ = ["invert_pose", "quaternions_from_rotations", "rotations_from_quaternions"]
+
+
+def invert_pose(T_a_b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the ``(4, 4)`` ``T_b_a`` of a rigid transform."""
+    T_b_a = np.eye(4)
+    T_b_a[:3, :3] = T_a_b[:3, :3].T
+    T_b_a[:3, 3] = -T_a_b[:3, :3].T @ T_a_b[:3, 3]
+    return T_b_a
 
 
 def rotations_from_quaternions(quaternions: NDArray[np.float64]) -> NDArray[np.float64]:
