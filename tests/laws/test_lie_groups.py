@@ -53,7 +53,7 @@ angle = st.one_of(
 
 
 @given(direction, angle)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_so3_log_inverts_exp_everywhere(axis, angle):
     phi = np.asarray(axis) / np.linalg.norm(axis) * angle
     R = so3.exp(phi)
@@ -65,7 +65,7 @@ def test_so3_log_inverts_exp_everywhere(axis, angle):
 
 
 @given(direction, angle, st.floats(0.0, 1e-7))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_so3_log_survives_a_matrix_that_is_not_quite_a_rotation(axis, angle, size):
     phi = np.asarray(axis) / np.linalg.norm(axis) * angle
     R = so3.exp(phi)
@@ -74,7 +74,7 @@ def test_so3_log_survives_a_matrix_that_is_not_quite_a_rotation(axis, angle, siz
 
 
 @given(direction, angle)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_so3_quaternion_round_trip(axis, angle):
     R = so3.exp(np.asarray(axis) / np.linalg.norm(axis) * angle)
     q = so3.to_quaternion(R)
@@ -84,7 +84,7 @@ def test_so3_quaternion_round_trip(axis, angle):
 
 
 @given(direction, direction)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_so3_from_two_vectors_turns_one_into_the_other(a, b):
     R = so3.from_two_vectors(a, b)
     np.testing.assert_allclose(R @ s2.project(a), s2.project(b), atol=1e-11)
@@ -92,17 +92,17 @@ def test_so3_from_two_vectors_turns_one_into_the_other(a, b):
 
 
 @given(direction, direction)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_s2_local_inverts_retract(a, b):
     x, y = s2.project(a), s2.project(b)
     np.testing.assert_allclose(s2.retract(x, s2.local(x, y)), y, atol=2e-14)
 
 
 @given(direction, st.floats(1e-12, 3.1), st.floats(-np.pi, np.pi))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_s2_retract_inverts_local(a, length, heading):
     x, d = s2.project(a), length * np.array([np.cos(heading), np.sin(heading)])
-    np.testing.assert_allclose(s2.local(x, s2.retract(x, d)), d, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(s2.local(x, s2.retract(x, d)), d, rtol=0.0, atol=2e-15 + 1e-13 * length)
 
 
 @pytest.mark.parametrize("length", [0.0, 1e-9, 1e-3, 0.4, 1.9, 2.1, 3.0])
