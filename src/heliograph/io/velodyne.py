@@ -24,7 +24,7 @@ def velodyne_decoder() -> Any:  # noqa: ANN401 - an optional package without typ
         import velodyne_decoder as module
     except ImportError as error:
         raise MissingDependencyError(
-            f"Velodyne packets need velodyne-decoder: pip install heliograph[velodyne] ({error})"
+            f"Velodyne packets need velodyne-decoder: pip install 'heliograph[velodyne]' ({error})"
         ) from error
     return module
 
