@@ -17,8 +17,14 @@ def test_group_obeys_the_laws(group, seed):
     assert_lie_group(group, np.random.default_rng(seed))
 
 
-def _with(method, function):
-    return type("Broken", (SE3,), {method: function})
+def _with(method, function, base=SE3):
+    return type("Broken", (base,), {method: function})
+
+
+def _one_turn_more(phi):
+    """Return another logarithm of the same rotation, longer by a full turn."""
+    angle = np.linalg.norm(phi, axis=-1, keepdims=True)
+    return phi * (1.0 + 2.0 * np.pi / np.where(angle > 0.0, angle, np.inf))
 
 
 MUTANTS = {
@@ -32,6 +38,7 @@ MUTANTS = {
     "log without the arc": _with(
         "log", lambda self: np.concatenate([so3.log(self.matrix[..., :3, :3]), self.matrix[..., :3, 3]], axis=-1)
     ),
+    "log a turn too far": _with("log", lambda self: _one_turn_more(so3.log(self.matrix)), SO3),
     "left perturbation": _with("retract", lambda self, d: type(self)(se3.exp(d) @ self.matrix)),
     "small rotations lost": _with(
         "log", lambda self: np.where(np.abs(se3.log(self.matrix)) < 1e-8, 0.0, se3.log(self.matrix))
