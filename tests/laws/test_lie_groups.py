@@ -17,8 +17,14 @@ def test_group_obeys_the_laws(group, seed):
     assert_lie_group(group, np.random.default_rng(seed))
 
 
-def _with(method, function):
-    return type("Broken", (SE3,), {method: function})
+def _with(method, function, base=SE3):
+    return type("Broken", (base,), {method: function})
+
+
+def _one_turn_more(phi):
+    """Return another logarithm of the same rotation, longer by a full turn."""
+    angle = np.linalg.norm(phi, axis=-1, keepdims=True)
+    return phi * (1.0 + 2.0 * np.pi / np.where(angle > 0.0, angle, np.inf))
 
 
 MUTANTS = {
@@ -32,6 +38,7 @@ MUTANTS = {
     "log without the arc": _with(
         "log", lambda self: np.concatenate([so3.log(self.matrix[..., :3, :3]), self.matrix[..., :3, 3]], axis=-1)
     ),
+    "log a turn too far": _with("log", lambda self: _one_turn_more(so3.log(self.matrix)), SO3),
     "left perturbation": _with("retract", lambda self, d: type(self)(se3.exp(d) @ self.matrix)),
     "small rotations lost": _with(
         "log", lambda self: np.where(np.abs(se3.log(self.matrix)) < 1e-8, 0.0, se3.log(self.matrix))
@@ -53,7 +60,7 @@ angle = st.one_of(
 
 
 @given(direction, angle)
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_so3_log_inverts_exp_everywhere(axis, angle):
     phi = np.asarray(axis) / np.linalg.norm(axis) * angle
     R = so3.exp(phi)
@@ -65,7 +72,7 @@ def test_so3_log_inverts_exp_everywhere(axis, angle):
 
 
 @given(direction, angle, st.floats(0.0, 1e-7))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_so3_log_survives_a_matrix_that_is_not_quite_a_rotation(axis, angle, size):
     phi = np.asarray(axis) / np.linalg.norm(axis) * angle
     R = so3.exp(phi)
@@ -74,7 +81,7 @@ def test_so3_log_survives_a_matrix_that_is_not_quite_a_rotation(axis, angle, siz
 
 
 @given(direction, angle)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_so3_quaternion_round_trip(axis, angle):
     R = so3.exp(np.asarray(axis) / np.linalg.norm(axis) * angle)
     q = so3.to_quaternion(R)
@@ -84,7 +91,7 @@ def test_so3_quaternion_round_trip(axis, angle):
 
 
 @given(direction, direction)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_so3_from_two_vectors_turns_one_into_the_other(a, b):
     R = so3.from_two_vectors(a, b)
     np.testing.assert_allclose(R @ s2.project(a), s2.project(b), atol=1e-11)
@@ -92,17 +99,17 @@ def test_so3_from_two_vectors_turns_one_into_the_other(a, b):
 
 
 @given(direction, direction)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_s2_local_inverts_retract(a, b):
     x, y = s2.project(a), s2.project(b)
     np.testing.assert_allclose(s2.retract(x, s2.local(x, y)), y, atol=2e-14)
 
 
 @given(direction, st.floats(1e-12, 3.1), st.floats(-np.pi, np.pi))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200, deadline=None, derandomize=True)
 def test_s2_retract_inverts_local(a, length, heading):
     x, d = s2.project(a), length * np.array([np.cos(heading), np.sin(heading)])
-    np.testing.assert_allclose(s2.local(x, s2.retract(x, d)), d, rtol=1e-9, atol=1e-14)
+    np.testing.assert_allclose(s2.local(x, s2.retract(x, d)), d, rtol=0.0, atol=2e-15 + 1e-13 * length)
 
 
 @pytest.mark.parametrize("length", [0.0, 1e-9, 1e-3, 0.4, 1.9, 2.1, 3.0])

@@ -16,7 +16,7 @@ FACTORS = ENGINE | {"data", "imu"}
 SLAM = ODOMETRY | FACTORS | {"odometry", "factors"}
 
 ALLOWED: dict[str, set[str]] = {
-    "__init__": COMMON | SLAM | {"slam", "io", "metrics", "pipeline"},
+    "__init__": COMMON | SLAM | {"slam", "io", "metrics", "output", "pipeline"},
     "errors": set(),
     "config_checks": {"errors"},
     "config": {"errors", "config_checks"},
@@ -37,10 +37,13 @@ ALLOWED: dict[str, set[str]] = {
     "sim": COMMON | SENSING,
     "metrics": COMMON | SENSING,
     "checks": COMMON | SENSING | {"metrics"},
-    "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics"},
-    "report": COMMON | SENSING | {"checks", "metrics", "maps", "cloud"},
+    "output": COMMON | SENSING | {"io"},
+    "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output"},
+    "report": COMMON | SENSING | {"io", "output", "checks", "metrics"},
     "lab": COMMON | SLAM | {"sim", "metrics", "slam"},
-    "cli": COMMON | SLAM | {"slam", "io", "sim", "metrics", "checks", "calibration", "pipeline", "report", "lab"},
+    "cli": COMMON
+    | SLAM
+    | {"slam", "io", "sim", "metrics", "checks", "calibration", "output", "pipeline", "report", "lab"},
 }
 
 

@@ -84,14 +84,15 @@ def execute(
     began = time.perf_counter()
     name = recordings[0].resolve().stem
     with interruptible() as stop, open_recording(recordings, config.input, sensors=config.sensors) as recording:
-        folder = _folder(recording, config, output or Path(f"{name}_heliograph"), name, overwrite=overwrite)
-        opening = time.perf_counter() - began
-        bar = [ProgressSink(recording.total_scans, name)] if progress else []
-        try:
-            summary = pipeline.run(recording, config, sinks=[*bar, folder], stop=stop, opening_seconds=opening)
-        except OutputError as error:
-            done = folder.record.summary.scans if folder.record else 0
-            raise OutputError(f"{error}; what could be saved of {done} scans is in {folder.path}") from error
+        pipeline.sensors_in_use(recording, config)  # a wrong choice is told before a folder is made
+        with _folder(recording, config, output or Path(f"{name}_heliograph"), name, overwrite=overwrite) as folder:
+            opening = time.perf_counter() - began
+            bar = [ProgressSink(recording.total_scans, name)] if progress else []
+            try:
+                summary = pipeline.run(recording, config, sinks=[*bar, folder], stop=stop, opening_seconds=opening)
+            except OutputError as error:
+                done = folder.record.summary.scans if folder.record else 0
+                raise OutputError(f"{error}; what could be saved of {done} scans is in {folder.path}") from error
     return folder, summary.interrupted
 
 

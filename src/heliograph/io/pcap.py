@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from heliograph.data import Event
 from heliograph.errors import FormatError
 from heliograph.io.ouster import OusterDecoder, is_ouster_metadata, ouster_core
-from heliograph.io.pcapfile import datagram_sizes, is_pcap
+from heliograph.io.pcapfile import datagram_sizes, is_cut, is_pcap
 from heliograph.io.raw import RawMessage, RawSource, TopicInfo
 from heliograph.io.velodyne import PACKET_SIZE, VelodyneDecoder, velodyne_decoder
 
@@ -87,9 +87,9 @@ def _find_metadata(capture: Path, given: Sequence[Path], sizes: Counter[int]) ->
 
 def _fits(capture: Path, metadata: Path) -> bool:
     """Tell whether the first LiDAR packet comes from the sensor of this metadata: size, session, serial number."""
+    core = ouster_core()
     from ouster.sdk.pcap import PcapPacketSource
 
-    core = ouster_core()
     try:
         info = core.SensorInfo(metadata.read_text(encoding="utf-8"))
         source = PcapPacketSource(str(capture), sensor_info=[info])
@@ -116,22 +116,20 @@ class _Pcap:
     def close(self) -> None:
         """Nothing stays open between iterations."""
 
-    def _damage(self, capture: Path, error: Exception) -> None:
-        event = Event(
-            code="truncated",
-            message=f"{capture.name} ends early or is damaged ({error}); the part before is used",
-        )
-        if event not in self.events:
-            self.events.append(event)
-
     def _guarded(
         self, capture: Path, stream: Iterator[RawMessage], errors: tuple[type[Exception], ...]
     ) -> Iterator[RawMessage]:
-        """Turn a vendor's errors into an event; damage must not cost what was read before it."""
+        """Turn damage of a file into an event: it must not cost what was read before it."""
+        damage = ""
         try:
             yield from stream
         except errors as error:
-            self._damage(capture, error)
+            damage = f"is damaged ({error})"
+        if not damage and is_cut(capture):
+            damage = "ends inside a packet"
+        event = Event(code="truncated", message=f"{capture.name} {damage}; the part before is used")
+        if damage and event not in self.events:
+            self.events.append(event)
 
 
 class _OusterPcap(_Pcap):
@@ -163,9 +161,9 @@ class _OusterPcap(_Pcap):
             yield from decoder.finish()
 
     def _capture_messages(self, capture: Path, decoder: OusterDecoder, topics: frozenset[str]) -> Iterator[RawMessage]:
+        core = ouster_core()
         from ouster.sdk.pcap import PcapPacketSource
 
-        core = ouster_core()
         feeds: dict[type, Callable[..., list[RawMessage]]] = {}
         if _OUSTER_TOPICS[0] in topics:
             feeds[core.LidarPacket] = decoder.feed_lidar

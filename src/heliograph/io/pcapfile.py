@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import mmap
 import struct
 from collections import Counter
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["datagram_sizes", "is_pcap"]
+__all__ = ["datagram_sizes", "is_cut", "is_pcap"]
 
 _MAGICS = {b"\xd4\xc3\xb2\xa1": "<", b"\x4d\x3c\xb2\xa1": "<", b"\xa1\xb2\xc3\xd4": ">", b"\xa1\xb2\x3c\x4d": ">"}
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _LINK_HEADER = {1: 14, 113: 16, 276: 20, 101: 0, 0: 4}  # Ethernet, Linux cooked v1 and v2, raw IP, loopback
 _VLAN = (0x8100, 0x88A8)
 _UDP = 17
+_FILE_HEADER, _RECORD_HEADER = 24, 16
 _LOOK_AT = 20_000
 
 
@@ -24,6 +26,20 @@ def is_pcap(path: Path) -> bool:
     return magic in _MAGICS or magic == _PCAPNG
 
 
+def is_cut(path: Path) -> bool:
+    """Tell whether a pcap file ends inside a packet; the vendors' readers stop there without a word."""
+    with path.open("rb") as file:
+        order = _MAGICS.get(file.read(4))
+        if order is None:
+            return False
+        length = struct.Struct(order + "I")
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            at, end = _FILE_HEADER, len(data)
+            while at + _RECORD_HEADER <= end:
+                at += _RECORD_HEADER + length.unpack_from(data, at + 8)[0]
+    return at != end
+
+
 def datagram_sizes(path: Path) -> Counter[int]:
     """Count UDP datagrams by payload size.
 
@@ -32,9 +48,9 @@ def datagram_sizes(path: Path) -> Counter[int]:
     """
     sizes: Counter[int] = Counter()
     with path.open("rb") as file:
-        head = file.read(24)
+        head = file.read(_FILE_HEADER)
         order = _MAGICS.get(head[:4])
-        if order is None or len(head) < 24:
+        if order is None or len(head) < _FILE_HEADER:
             return sizes
         link = _LINK_HEADER.get(struct.unpack_from(order + "I", head, 20)[0] & 0xFFFF)
         if link is None:
@@ -51,8 +67,8 @@ def datagram_sizes(path: Path) -> Counter[int]:
 
 def _next_datagram(file: BinaryIO, order: str, link: int) -> int | None:
     """Return the UDP payload size of the next packet: -1 for any other packet, None at the end of the file."""
-    record = file.read(16)
-    if len(record) < 16:
+    record = file.read(_RECORD_HEADER)
+    if len(record) < _RECORD_HEADER:
         return None
     captured = struct.unpack_from(order + "I", record, 8)[0]
     start = file.tell()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from decimal import Decimal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +69,13 @@ def parse_stamps(words: Sequence[str], unit: str | None = None) -> tuple[NDArray
     if unit == "s":
         return np.array([parse_seconds(word) for word in words], dtype=np.int64), unit
     scale = 10 ** UNITS[unit]
-    # A fraction of a smaller unit is rare: only then does it go through decimal arithmetic.
-    stamps = [int(word) * scale if word.isdecimal() else parse_seconds(f"{word}e-{9 - UNITS[unit]}") for word in words]
+    stamps = [int(word) * scale if word.isdecimal() else _scaled(word, scale) for word in words]
     return np.array(stamps, dtype=np.int64), unit
+
+
+def _scaled(word: str, scale: int) -> int:
+    """Convert a signed number, a fraction or an exponent: rare in units below the second."""
+    try:
+        return int((Decimal(word) * scale).to_integral_value())
+    except (ArithmeticError, ValueError) as error:
+        raise ValueError(f"not a number: {word!r}") from error

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Protocol
 
 import numpy as np
@@ -137,7 +138,7 @@ class RunFolder(Sink):
                 self._log.flush()
 
     def close(self, summary: RunSummary) -> None:
-        """Complete the files. Every step is tried, whatever became of those before; then the first failure is raised."""
+        """Complete the files. Every step is tried, whatever became of those before; the first failure is raised."""
         if summary.scans == 0:
             self._discard()
             return
@@ -168,6 +169,18 @@ class RunFolder(Sink):
         if failures:
             raise failures[0]
 
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Release the files of a run that never came to its `close`; without a scan, remove them."""
+        if self.record is None and self._count == 0:
+            self._discard()
+        self._trajectories.release()
+        self._log.release()
+
     def _map_cloud(self, T_map_odom: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
         if self._map is None:
             return np.zeros((0, 3), dtype=np.float32), None
@@ -179,11 +192,11 @@ class RunFolder(Sink):
 
     def _discard(self) -> None:
         """Leave nothing of a run that has no result."""
-        for writer in self._trajectories.writers():
-            writer.close()
+        self._trajectories.release()
+        self._log.release()
         for name in _OWN:
             (self.path / name).unlink(missing_ok=True)
-        if self._created:
+        if self._created and self.path.is_dir() and not any(self.path.iterdir()):
             self.path.rmdir()
 
     @contextmanager

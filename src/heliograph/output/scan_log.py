@@ -34,6 +34,7 @@ INTEGERS = (
 )
 FLOATS = (
     "rms",
+    "nis",
     *_triple("eigenvalue_rotation", _ASCENDING),
     *_triple("eigenvalue_translation", _ASCENDING),
     *_triple("weak_direction"),
@@ -57,7 +58,7 @@ class ScanTable:
     ----------
     integers : (N, 9) int64
         Columns `INTEGERS`.
-    floats : (N, 31) float64
+    floats : (N, 32) float64
         Columns `FLOATS`, in map-frame axes where they are vectors.
     statuses : list of str
         Verdict a scan.
@@ -121,7 +122,8 @@ class ScanLog:
             *(result.queries, result.matches, result.fallback_matches, result.iterations),
         )
         floats = np.concatenate([
-            (result.rms,), result.eigenvalues_rotation, result.eigenvalues_translation, result.weak_direction,
+            (result.rms, result.nis),
+            result.eigenvalues_rotation, result.eigenvalues_translation, result.weak_direction,
             result.gyro_bias, result.accel_bias, result.v_odom, sigmas(result.covariance), result.T_odom_imu[:3, 3],
         ])  # fmt: skip
         self._integers.append(integers)
@@ -139,14 +141,18 @@ class ScanLog:
         if self._writer is not None:
             self._writer.flush()
 
+    def release(self) -> None:
+        """Flush and close the file as it is."""
+        if self._writer is not None:
+            self._writer.close()
+
     def close(self, R_map_odom: NDArray[np.float64]) -> ScanTable:
         """Finish the file and return the table, both in map-frame axes.
 
         Rewrites the file where the map frame turned out tilted against odom, or where a later scan named a stage that
         the first row did not have.
         """
-        if self._writer is not None:
-            self._writer.close()
+        self.release()
         floats = np.array(self._floats).reshape(-1, len(FLOATS))
         stages = tuple(dict.fromkeys(stage for timings in self._timings for stage in timings))
         turned = not np.array_equal(R_map_odom, np.eye(3))

@@ -84,15 +84,18 @@ class TrajectoryFiles:
         for writer in self.writers():
             writer.flush()
 
+    def release(self) -> None:
+        """Flush and close the files as they are."""
+        for writer in self.writers():
+            writer.close()
+
     def close(self, T_map_odom: NDArray[np.float64]) -> list[Path]:
         """Finish the files; those of the map frame are rewritten where it differs from odom.
 
         Until loops exist nothing tells map from odom but gravity, which both are levelled by: all files turn alike.
         """
-        paths = []
-        for writer in self.writers():
-            writer.close()
-            paths.append(writer.path)
+        self.release()
+        paths = [writer.path for writer in self.writers()]
         if not np.array_equal(T_map_odom, np.eye(4)):
             for path in paths:
                 with path.open(encoding="utf-8") as file:

@@ -17,8 +17,10 @@ from heliograph.report.svg import number, polyline, round_length, text
 
 __all__ = ["MapPictures"]
 
-_CEILING_SHARE = 0.6
-_CEILING_CLEARANCE = 0.5
+_ROOF_CELL = 0.5  # [m]
+_ROOF_LEVEL = 0.5  # [m]
+_ROOF_SHARE = 0.08  # of the occupied cells
+_ROOF_CLEARANCE = 1.0  # above the sensor [m]
 _MOST_POINTS = 6_000_000
 
 
@@ -69,19 +71,18 @@ class MapPictures:
     @cached_property
     def ceiling(self) -> float | None:
         """Height above which points hide the way from above, if most of it lies under a roof [m]."""
-        points, view = self.points, self.top
-        cell = 0.5
-        keys = [
-            ((xy - self.path[:, :2].min(axis=0)) // cell).astype(np.int64) for xy in (points[:, :2], self.path[:, :2])
-        ]
-        span = int(keys[1].max()) + 2
-        inside = ((keys[0] >= 0) & (keys[0] < span)).all(axis=1)
-        roof = np.full(span * span, -np.inf, dtype=np.float32)
-        np.maximum.at(roof, keys[0][inside] @ np.array([span, 1]), points[inside, 2])
-        covered = roof[keys[1] @ np.array([span, 1])] > self.path[:, 2] + _CEILING_CLEARANCE
-        if view.pixel <= 0 or float(covered.mean()) < _CEILING_SHARE:
+        # A roof is one level that tops a good part of all occupied cells; trees and facades end at all heights.
+        keys = np.floor((self.points[:, :2] - self.points[:, :2].min(axis=0)) / _ROOF_CELL).astype(np.int64)
+        span = keys.max(axis=0) + 1
+        if int(span.prod()) > _MOST_POINTS:
             return None
-        return float(np.percentile(self.path[:, 2], 95)) + _CEILING_CLEARANCE
+        top = np.full(int(span.prod()), -np.inf, dtype=np.float32)
+        np.maximum.at(top, keys[:, 0] * span[1] + keys[:, 1], self.points[:, 2])
+        top = top[np.isfinite(top)]
+        floor = float(np.percentile(self.path[:, 2], 95)) + _ROOF_CLEARANCE
+        levels, counts = np.unique(np.floor((top[top > floor] - floor) / _ROOF_LEVEL), return_counts=True)
+        roofs = levels[counts > _ROOF_SHARE * len(top)]
+        return floor + float(roofs[0]) * _ROOF_LEVEL - _ROOF_LEVEL if len(roofs) else None
 
     @cached_property
     def top_raster(self) -> Raster:
@@ -148,7 +149,8 @@ class MapPictures:
         count = f"{len(self.record.points_map):,}".replace(",", " ")
         return (
             f'<section class="map">{tabs}<div class="tabs">{labels}</div>{bodies}'
-            f'<p class="note">{count} points, {self.top.pixel:.3f} m a pixel; the line is the trajectory.{note}</p></section>'
+            f'<p class="note">{count} points, {self.top.pixel:.3f} m a pixel; the line is the trajectory.{note}</p>'
+            "</section>"
         )
 
     def _views(self, by: str) -> str:
@@ -156,8 +158,9 @@ class MapPictures:
             (self.height_limits, HEIGHT, "m") if by == "height" else (self.intensity_limits, INTENSITY, "")
         )
         ramp = (
-            f'<div class="ramp">{by} <span>{limits[0]:.3g} {unit}</span><i style="background:{css_gradient(colors)}"></i>'
-            f"<span>{limits[1]:.3g} {unit}</span></div>"
+            f'<div class="ramp">{by} <span>{number(float(f"{limits[0]:.3g}"))} {unit}</span>'
+            f'<i style="background:{css_gradient(colors)}"></i>'
+            f"<span>{number(float(f'{limits[1]:.3g}'))} {unit}</span></div>"
         )
         return (
             f'<div class="views {by}">{self._figure("top", by, "from above", ramp)}'
@@ -170,8 +173,9 @@ class MapPictures:
         source = data_uri(self._encoded(name, by))
         overlay = "".join(self._overlay(view))
         return (
-            f'<figure class="shot"><img src="{source}" width="{columns}" height="{rows}" alt="The map {title}, coloured by {by}">'
-            f'<svg viewBox="0 0 {columns} {rows}">{overlay}</svg><figcaption>{title}</figcaption>{ramp}</figure>'
+            f'<figure class="shot"><img src="{source}" width="{columns}" height="{rows}" '
+            f'alt="The map {title}, coloured by {by}"><svg viewBox="0 0 {columns} {rows}">{overlay}</svg>'
+            f"<figcaption>{title}</figcaption>{ramp}</figure>"
         )
 
     def _overlay(self, view: View) -> list[str]:
@@ -187,12 +191,11 @@ class MapPictures:
         bar = f'<path class="scale" d="M0 -4V4M0 0H{wide:.1f}M{wide:.1f} -4V4"/>' + text(
             wide / 2, -8, f"{number(length)} m", kind="mark"
         )
-        parts.append(
-            f'<g transform="translate({columns - (wide + 22) * size:.1f} {rows - 18 * size:.1f}) scale({size:.3f})">{bar}</g>'
-        )
+        corner = f"translate({columns - (wide + 22) * size:.1f} {rows - 18 * size:.1f})"
+        parts.append(f'<g transform="{corner} scale({size:.3f})">{bar}</g>')
         arrows = (
             '<path class="scale" d="M0 0H30M25 -4L30 0L25 4M0 0V-30M-4 -25L0 -30L4 -25"/>'
-            + text(38, 4, view.labels[0], kind="mark")
+            + text(36, 4, view.labels[0], kind="mark", anchor="start")
             + text(0, -36, view.labels[1], kind="mark")
         )
         parts.append(f'<g transform="translate({24 * size:.1f} {rows - 20 * size:.1f}) scale({size:.3f})">{arrows}</g>')

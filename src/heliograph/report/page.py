@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from heliograph.data import Event
 from heliograph.io.atomic import atomic_path, write_text
 from heliograph.output.record import RunRecord
 from heliograph.report import charts
@@ -94,18 +95,24 @@ def header(record: RunRecord) -> str:
     return (
         f'<header><p class="brand">Heliograph {version} · run report</p><h1>{escape(record.name)}</h1>'
         f'<p class="verdict {summary.status}"><b>{summary.status}</b> {_STATUS_WORDS[summary.status]}</p>'
-        f'{f"<ul class=reasons>{reasons}</ul>" if reasons else ""}<dl class="tiles">{tiles}</dl>{warnings(record)}</header>'
+        f'{f"<ul class=reasons>{reasons}</ul>" if reasons else ""}<dl class="tiles">{tiles}</dl>'
+        f"{warnings(record)}</header>"
     )
 
 
 def warnings(record: RunRecord) -> str:
     """Return the warnings as callouts; remarks are left to the tables."""
-    rows = [
-        f'<li class="{escape(event.severity)}"><b>{escape(event.code)}</b>{times(event.count)} {escape(event.message)}</li>'
+    rows = "".join(
+        f'<li class="{escape(event.severity)}">{remark(event)}</li>'
         for event in record.summary.events
         if event.severity != "info"
-    ]
-    return f'<ul class="warnings">{"".join(rows)}</ul>' if rows else ""
+    )
+    return f'<ul class="warnings">{rows}</ul>' if rows else ""
+
+
+def remark(event: Event) -> str:
+    """Return an event's code, how often it came, and what it says."""
+    return f"<b>{escape(event.code)}</b>{times(event.count)} {escape(event.message)}"
 
 
 def times(count: int) -> str:
@@ -149,7 +156,10 @@ def timing_table(record: RunRecord) -> str:
     ]
     rows.append(("wall", f"{summary.wall_seconds:.2f} s", f"{summary.ms_per_scan:.2f} ms"))
     note = "up to the last scan; reading is the waiting only where a second thread decodes ahead"
-    return f'<figure class="panel"><figcaption><b>Wall time</b></figcaption>{table(("part", "total", "a scan"), rows)}<p class="note">{note}</p></figure>'
+    return (
+        '<figure class="panel"><figcaption><b>Wall time</b></figcaption>'
+        f'{table(("part", "total", "a scan"), rows)}<p class="note">{note}</p></figure>'
+    )
 
 
 def inferences(items: Sequence[Mapping[str, Any]]) -> str:
@@ -169,9 +179,7 @@ def tables(record: RunRecord) -> str:
     facts += [(str(key), _short(value)) for key, value in record.facts.get("recording", {}).items()]
     facts += [(str(key), str(value)) for key, value in record.facts.get("versions", {}).items()]
     remarks = [event for event in summary.events if event.severity == "info"]
-    notes = "".join(
-        f"<li><b>{escape(event.code)}</b>{times(event.count)} {escape(event.message)}</li>" for event in remarks
-    )
+    notes = "".join(f"<li>{remark(event)}</li>" for event in remarks)
     return (
         f"<section><h2>The run</h2>{table(('what', 'value'), facts)}"
         f"{f'<ul class=notes>{notes}</ul>' if notes else ''}"

@@ -1,7 +1,8 @@
 """Pictures of a cloud: orthographic, nearest point first, shaded by depth.
 
 The shading is eye-dome lighting (C. Boucheny, Interactive scientific visualization of large datasets,
-PhD thesis, Grenoble 2009): a pixel darkens by how far its neighbours stand in front of it, which shows edges without normals.
+PhD thesis, Grenoble 2009): a pixel darkens by how far its neighbours stand in front of it, which shows edges
+without normals.
 """
 
 from __future__ import annotations
@@ -106,6 +107,9 @@ def _view(
     low_uv, high_uv = corners.min(axis=0), corners.max(axis=0)
     size = high_uv - low_uv
     pixel = pixel or float(max(size[0] / max_width, size[1] / max_height))
+    # Where the height is what limits the scale, the picture still fills the width: more of the surroundings.
+    spare = max(max_width * pixel - size[0], 0.0) * np.array([0.5, 0.0])
+    low_uv, high_uv = low_uv - spare, high_uv + spare
     return View(axes=axes, low=tuple(low_uv), high=tuple(high_uv), pixel=pixel, labels=labels)
 
 
