@@ -56,8 +56,9 @@ def infer_timing(clouds: Sequence[RawCloud], config: InputConfig) -> TimingResul
     ConfigError
         The overriding field does not exist.
     DataError
-        The header stamps run backwards.
+        The clouds have no coordinates, or their header stamps run backwards.
     """
+    valid_points(clouds[0])  # refuses a cloud without coordinates
     stamp, events = _stamp_source(clouds)
     period_ns, inferences = _period(clouds, stamp)
     field = _field(clouds, config)
