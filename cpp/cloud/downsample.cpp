@@ -16,8 +16,8 @@ std::vector<int32_t> voxel_downsample(std::span<const float> points, float leaf)
   for (size_t k = 0; k < count; ++k) {
     const float* p = points.data() + 3 * k;
     if (!std::isfinite(p[0] + p[1] + p[2])) continue;
-    const Cube cube{static_cast<int64_t>(std::floor(p[0] * inverse)), static_cast<int64_t>(std::floor(p[1] * inverse)),
-                    static_cast<int64_t>(std::floor(p[2] * inverse))};
+    const Cube cube{floor_index(p[0] * inverse), floor_index(p[1] * inverse),
+                    floor_index(p[2] * inverse)};
     if (seen.insert(pack(0, cube), 0).second) kept.push_back(static_cast<int32_t>(k));
   }
   return kept;

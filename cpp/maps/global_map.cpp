@@ -31,7 +31,7 @@ void GlobalMap::insert(std::span<const float> points_body, std::span<const float
       for (int i = 0; i < 3; ++i) {
         q[i] = T[4 * i] * p[0] + T[4 * i + 1] * p[1] + T[4 * i + 2] * p[2] + T[4 * i + 3];
         q[i] = std::isfinite(q[i]) ? q[i] : 0.0;
-        c[i] = static_cast<int64_t>(std::floor(q[i] * inverse));
+        c[i] = floor_index(q[i] * inverse);
         local[k][static_cast<size_t>(i)] = static_cast<float>(q[i] - (static_cast<double>(c[i]) + 0.5) * voxel_);
       }
       keys[k] = std::isfinite(p[0] + p[1] + p[2]) ? pack(0, {c[0], c[1], c[2]}) : kNoKey;

@@ -6,8 +6,8 @@
 namespace heliograph {
 
 void PointGrid::insert(const double* p) {
-  const Cube cube{static_cast<int64_t>(std::floor(p[0] / size_)), static_cast<int64_t>(std::floor(p[1] / size_)),
-                  static_cast<int64_t>(std::floor(p[2] / size_))};
+  const Cube cube{floor_index(p[0] / size_), floor_index(p[1] / size_),
+                  floor_index(p[2] / size_)};
   const uint64_t key = pack(kPointLevel, cube);
   const auto [id, is_new] = index_.insert(key, static_cast<uint32_t>(buckets_.size()));
   if (is_new) buckets_.push_back({key, 0, {}});

@@ -26,7 +26,7 @@ VoxelMap::VoxelMap(const VoxelMapSettings& settings)
 
 std::vector<VoxelMap::Delta> VoxelMap::gather(std::span<const float> points_body, const double* T) {
   const double inverse = 1.0 / settings_.voxel;
-  FlatIndex seen(13);
+  FlatIndex seen(15);
   std::vector<Delta> deltas;
   deltas.reserve(points_body.size() / 24);
   for (size_t k = 0; k + 2 < points_body.size(); k += 3) {
@@ -34,8 +34,8 @@ std::vector<VoxelMap::Delta> VoxelMap::gather(std::span<const float> points_body
     if (!std::isfinite(x + y + z)) continue;
     const double q[3] = {T[0] * x + T[1] * y + T[2] * z + T[3], T[4] * x + T[5] * y + T[6] * z + T[7],
                          T[8] * x + T[9] * y + T[10] * z + T[11]};
-    const Cube cube{static_cast<int64_t>(std::floor(q[0] * inverse)), static_cast<int64_t>(std::floor(q[1] * inverse)),
-                    static_cast<int64_t>(std::floor(q[2] * inverse))};
+    const Cube cube{floor_index(q[0] * inverse), floor_index(q[1] * inverse),
+                    floor_index(q[2] * inverse)};
     const auto [id, is_new] = seen.insert(pack(0, cube), static_cast<uint32_t>(deltas.size()));
     if (is_new) {
       deltas.emplace_back();
@@ -123,8 +123,7 @@ void VoxelMap::insert(std::span<const float> points_body, const double* T_odom_b
     for (uint64_t level = 0; level < static_cast<uint64_t>(settings_.levels); ++level) add(delta, level);
     points_.insert(delta.first);
   }
-  std::sort(touched_.begin(), touched_.end());
-  touched_.erase(std::unique(touched_.begin(), touched_.end()), touched_.end());
+  // A cube that several deltas reached is listed as often; its second refit finds nothing new to do.
   for (const uint32_t id : touched_) refit(id);
 }
 

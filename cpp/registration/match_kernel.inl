@@ -24,6 +24,11 @@ inline uint64_t kernel_mix(uint64_t key) {
   return key ^ (key >> 32);
 }
 
+inline int64_t kernel_floor(double x) {
+  const auto i = static_cast<int64_t>(x);
+  return i - static_cast<int64_t>(x < static_cast<double>(i));
+}
+
 inline uint64_t kernel_pack(uint64_t level, int64_t x, int64_t y, int64_t z) {
   return (level << 60) | ((static_cast<uint64_t>(x + 524288) & 0xfffffU) << 40) |
          ((static_cast<uint64_t>(y + 524288) & 0xfffffU) << 20) | (static_cast<uint64_t>(z + 524288) & 0xfffffU);
@@ -43,9 +48,9 @@ inline bool find(const IndexView& index, uint64_t key, uint32_t* value) {
 // The finest plane whose cube holds q and whose distance passes the gate.
 inline bool find_plane(const MapView& map, const double* q, float gate, FoundPlane* out) {
   const double inverse = 1.0 / map.voxel;
-  const auto x = static_cast<int64_t>(std::floor(q[0] * inverse));
-  const auto y = static_cast<int64_t>(std::floor(q[1] * inverse));
-  const auto z = static_cast<int64_t>(std::floor(q[2] * inverse));
+  const auto x = kernel_floor(q[0] * inverse);
+  const auto y = kernel_floor(q[1] * inverse);
+  const auto z = kernel_floor(q[2] * inverse);
   double edge = map.voxel;
   for (int level = 0; level < map.levels; ++level, edge *= 2.0) {
     const int64_t cx = x >> level, cy = y >> level, cz = z >> level;
@@ -92,25 +97,42 @@ inline void keep_nearest(Nearest* best, float d2, float dx, float dy, float dz) 
   best->offset[k][2] = dz;
 }
 
-// The nearest stored points among the 27 cubes around q, nearer than `range`.
+// Distance along one axis from a place inside the middle cube to the cube `step` (-1, 0, 1) away.
+inline float axis_gap(float inside, float size, int step) {
+  return step == 0 ? 0.0F : (step < 0 ? inside : size - inside);
+}
+
+// The nearest stored points among the 27 cubes around q, nearer than `range`. The middle cube comes first; a cube that
+// is farther than the worst point kept is not opened.
 inline void find_nearest(const MapView& map, const double* q, float range, Nearest* best) {
+  constexpr int kOrder[3] = {0, -1, 1};
   best->count = 0;
   const double size = map.point_size;
+  const auto edge = static_cast<float>(size);
   int64_t c[3];
-  for (int i = 0; i < 3; ++i) c[i] = static_cast<int64_t>(std::floor(q[i] / size));
+  float inside[3];
+  for (int i = 0; i < 3; ++i) {
+    c[i] = kernel_floor(q[i] / size);
+    inside[i] = static_cast<float>(q[i] - static_cast<double>(c[i]) * size);
+  }
+  float limit = range * range;
   for (int n = 0; n < 27; ++n) {
-    const int64_t x = c[0] + n % 3 - 1, y = c[1] + (n / 3) % 3 - 1, z = c[2] + n / 9 - 1;
+    const int sx = kOrder[n % 3], sy = kOrder[(n / 3) % 3], sz = kOrder[n / 9];
+    const float gx = axis_gap(inside[0], edge, sx), gy = axis_gap(inside[1], edge, sy), gz = axis_gap(inside[2], edge, sz);
+    if (gx * gx + gy * gy + gz * gz >= limit) continue;
     uint32_t id = 0;
-    if (!find(map.point_index, kernel_pack(15, x, y, z), &id)) continue;
+    if (!find(map.point_index, kernel_pack(15, c[0] + sx, c[1] + sy, c[2] + sz), &id)) continue;
     const BucketView& bucket = map.buckets[id];
-    const float ox = static_cast<float>((static_cast<double>(x) + 0.5) * size - q[0]);
-    const float oy = static_cast<float>((static_cast<double>(y) + 0.5) * size - q[1]);
-    const float oz = static_cast<float>((static_cast<double>(z) + 0.5) * size - q[2]);
+    const float half = 0.5F * edge;
+    const float ox = static_cast<float>(sx) * edge + half - inside[0];
+    const float oy = static_cast<float>(sy) * edge + half - inside[1];
+    const float oz = static_cast<float>(sz) * edge + half - inside[2];
     for (uint32_t k = 0; k < bucket.count; ++k) {
       const float dx = ox + bucket.xyz[3 * k], dy = oy + bucket.xyz[3 * k + 1], dz = oz + bucket.xyz[3 * k + 2];
       const float d2 = dx * dx + dy * dy + dz * dz;
-      if (d2 <= range * range) keep_nearest(best, d2, dx, dy, dz);
+      if (d2 < limit) keep_nearest(best, d2, dx, dy, dz);
     }
+    if (best->count == kNeighbours) limit = best->distance2[kNeighbours - 1];
   }
 }
 

@@ -16,4 +16,5 @@
 #define CHECK_NEAR(a, b, tolerance) CHECK(std::abs((a) - (b)) <= (tolerance))
 
 // One function a room; main.cpp calls them all.
+void check_sim();
 void check_util();

@@ -2,6 +2,7 @@
 #include "tests/check.hpp"
 
 int main() {
+  check_sim();
   check_util();
   std::puts("all native checks passed");
   return 0;

@@ -22,6 +22,17 @@ inline uint64_t pack(uint64_t level, const Cube& cube) {
          (static_cast<uint64_t>(cube.z + kKeyOffset) & kKeyMask);
 }
 
+// floor() of the baseline instruction set is a library call; a truncation and a comparison are not.
+inline int64_t floor_index(double x) {
+  const auto i = static_cast<int64_t>(x);
+  return i - static_cast<int64_t>(x < static_cast<double>(i));
+}
+
+inline int64_t floor_index(float x) {
+  const auto i = static_cast<int32_t>(x);
+  return i - static_cast<int32_t>(x < static_cast<float>(i));
+}
+
 inline uint64_t key_level(uint64_t key) { return key >> (3 * kKeyBits); }
 
 inline Cube unpack(uint64_t key) {

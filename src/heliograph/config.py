@@ -55,22 +55,176 @@ class InputConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuConfig:
-    """Start and noise of the inertial model."""
+    """Start and noise of the inertial model.
+
+    Parameters
+    ----------
+    gravity : float
+        Length of gravity [m/s^2].
+    gyro_noise, accel_noise : float
+        White noise of an IMU never seen at rest, and the most that rest may tell [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+    gyro_noise_floor, accel_noise_floor : float
+        The least that rest may tell: it shows neither scale errors nor vibration.
+    gyro_walk, accel_walk : float
+        Bias random walks [rad/s^2/sqrt(Hz)], [m/s^3/sqrt(Hz)].
+    gyro_bias_sigma, accel_bias_sigma : float
+        What a bias may be before anything is known [rad/s], [m/s^2].
+    curvature : float
+        Share of the change between two samples that linear interpolation is taken to miss.
+    max_step : float
+        Longest integration step [s].
+    max_gap : float
+        A longer distance between samples counts as a gap [s].
+    held_gyro_noise, held_accel_noise : float
+        White noise added while samples are held or bridged [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+    start_window : float
+        Data looked at before the first pose [s].
+    still_duration : float
+        Least rest for a static start [s].
+    still_gyro_sigma, still_accel_sigma : float
+        Most spread of a channel at rest [rad/s], [m/s^2].
+    still_rate, still_gravity_error : float
+        Most mean rate [rad/s] and most error of the mean force's length [m/s^2] at rest.
+    still_speed : float
+        Most speed that the LiDAR may see at rest [m/s].
+    """
+
+    gravity: float = 9.80665
+    gyro_noise: float = 2e-3
+    accel_noise: float = 3e-2
+    gyro_noise_floor: float = 2e-4
+    accel_noise_floor: float = 2e-3
+    gyro_walk: float = 1e-5
+    accel_walk: float = 1e-4
+    gyro_bias_sigma: float = 0.05
+    accel_bias_sigma: float = 0.1
+    curvature: float = 0.3
+    max_step: float = 0.005
+    max_gap: float = 0.25
+    held_gyro_noise: float = 0.3
+    held_accel_noise: float = 2.0
+    start_window: float = 1.0
+    still_duration: float = 0.5
+    still_gyro_sigma: float = 0.03
+    still_accel_sigma: float = 0.3
+    still_rate: float = 0.1
+    still_gravity_error: float = 0.6
+    still_speed: float = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloudConfig:
-    """What happens to a scan before it is matched."""
+    """What happens to a scan before it is matched.
+
+    Parameters
+    ----------
+    min_range, max_range : float
+        Points outside are dropped [m].
+    target_points : int
+        Points to match a scan with; the thinning's cube edge follows from it.
+    min_leaf, max_leaf : float
+        Limits of that edge [m].
+    deskew : str
+        ``"imu"`` (the filter's own motion model), or ``"off"`` for comparison.
+    """
+
+    min_range: float = 0.5
+    max_range: float = 150.0
+    target_points: int = 6000
+    min_leaf: float = 0.05
+    max_leaf: float = 1.0
+    deskew: str = "imu"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MapConfig:
-    """The local map."""
+    """The local map.
+
+    Parameters
+    ----------
+    voxel : float
+        Edge of the finest cubes [m].
+    levels : int
+        Levels, each with twice the edge.
+    min_points, max_points : int
+        Points that a plane needs, and at which a cube is frozen.
+    max_thickness : float
+        Largest standard deviation of points across their plane [m].
+    min_spread : float
+        Least standard deviation along it, as a share of the cube's edge.
+    point_spacing : float
+        Distance of the raw points kept for the nearest-neighbour fallback [m].
+    fallback_range : float
+        How far a neighbour may be [m].
+    radius : float
+        What lies farther from the sensor is forgotten [m].
+    max_voxels : int
+        Most cubes held.
+    """
+
+    voxel: float = 0.25
+    levels: int = 3
+    min_points: int = 8
+    max_points: int = 200
+    max_thickness: float = 0.035
+    min_spread: float = 0.12
+    point_spacing: float = 0.1
+    fallback_range: float = 0.6
+    radius: float = 150.0
+    max_voxels: int = 2_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterConfig:
-    """The iterated error-state Kalman filter."""
+    """The iterated error-state Kalman filter.
+
+    Parameters
+    ----------
+    max_iterations : int
+        Of one update.
+    tolerance_rotation, tolerance_position : float
+        An update has converged when a step is smaller [rad], [m].
+    residual : str
+        ``"plane"``, or ``"point"`` for comparison.
+    sigma : float
+        Range noise across a plane at the start [m]; afterwards it follows the residuals.
+    min_sigma, max_sigma : float
+        Limits of that [m].
+    kernel : float
+        Scale of the Geman-McClure kernel in units of sigma.
+    gate : float
+        Largest residual of a match in units of the kernel's scale.
+    max_kernel : float
+        Widest kernel that an uncertain prediction may open [m].
+    correlation : float
+        How many matches tell as much as one independent one: neighbouring points share their plane's error.
+    fallback_stride : int
+        One of so many points without a plane asks for its neighbours; 0 switches the fallback off.
+    min_matches : int
+        Fewer matches make no update.
+    degenerate_translation, degenerate_rotation : float
+        A per-measurement eigenvalue below it makes a direction count as blind.
+    constant_velocity_accel, constant_velocity_gyro : float
+        Noise of the motion model that stands in for a missing IMU [m/s^2/sqrt(Hz)], [rad/s^2/sqrt(Hz)].
+    """
+
+    max_iterations: int = 6
+    tolerance_rotation: float = 1e-4
+    tolerance_position: float = 1e-3
+    residual: str = "plane"
+    sigma: float = 0.03
+    min_sigma: float = 0.01
+    max_sigma: float = 0.15
+    kernel: float = 3.0
+    gate: float = 2.5
+    max_kernel: float = 1.0
+    correlation: float = 30.0
+    fallback_stride: int = 2
+    min_matches: int = 50
+    degenerate_translation: float = 0.01
+    degenerate_rotation: float = 0.003
+    constant_velocity_accel: float = 3.0
+    constant_velocity_gyro: float = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -109,6 +109,8 @@ def test_load_config_error_names_file_key_and_suggestion(tmp_path):
         ("mode=c", "mode = 'c' is not one of 'a', 'b'"),
         ("inner.low=5", "inner.low = 5.0 is out of range; it must be < 1"),
         ("inner.levels=[1.0, -1.0]", "inner.levels = .* must be > 0"),
+        ("inner.levels=[0.0]", "inner.levels = .* must be > 0"),
+        ("inner.low=1.0", "must be < 1"),
         ("inner.levels=1.0", "it must be a list"),
         ("inner.levels=[1.0, 'a']", r"inner.levels\[1\] = 'a'"),
         ("inner.window=[1]", "has 1 entries; it must have 2"),

@@ -1,1 +1,1 @@
-"""Heliograph: cli."""
+"""The command line: the only place that prints, and the only one that exits."""

@@ -3,9 +3,10 @@
 from heliograph.data.event import Event
 from heliograph.data.gnss import GnssFix
 from heliograph.data.imu import ImuBatch, ImuNoise
+from heliograph.data.nav_state import NavState
 from heliograph.data.result import ScanResult
 from heliograph.data.rig import Rig
 from heliograph.data.scan import Scan
 from heliograph.data.trajectory import Trajectory
 
-__all__ = ["Event", "GnssFix", "ImuBatch", "ImuNoise", "Rig", "Scan", "ScanResult", "Trajectory"]
+__all__ = ["Event", "GnssFix", "ImuBatch", "ImuNoise", "NavState", "Rig", "Scan", "ScanResult", "Trajectory"]

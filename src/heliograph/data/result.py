@@ -34,6 +34,8 @@ class ScanResult:
         [m/s^2].
     g_odom : (3,) float64
         Gravity [m/s^2].
+    T_imu_lidar : (4, 4) float64
+        Mounting as used for this scan.
     covariance : (K, K) float64
         Of the filter's error state: rotation (body), position (odom), velocity (odom), gyro bias, accelerometer bias,
         gravity ... (CONVENTIONS.md, 2).
@@ -59,6 +61,8 @@ class ScanResult:
         Of the iterated update.
     rms : float
         Robust RMS of the point-to-plane residuals after the update [m].
+    nis : float
+        Squared correction of the pose in units of its predicted uncertainty; about 6 on average when that is honest.
     eigenvalues_rotation, eigenvalues_translation : (3,) float64
         Of the per-measurement information matrix, ascending [1/rad^2 m^2 scaled to 1 m lever; 1].
         In [0, 1] for translation.
@@ -79,6 +83,7 @@ class ScanResult:
     gyro_bias: NDArray[np.float64]
     accel_bias: NDArray[np.float64]
     g_odom: NDArray[np.float64]
+    T_imu_lidar: NDArray[np.float64]
     covariance: NDArray[np.float64]
     path: Trajectory
     T_odom_imu_header: NDArray[np.float64]
@@ -90,6 +95,7 @@ class ScanResult:
     queries: int = 0
     iterations: int = 0
     rms: float = float("nan")
+    nis: float = float("nan")
     eigenvalues_rotation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     eigenvalues_translation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     weak_direction: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))

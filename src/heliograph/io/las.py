@@ -13,7 +13,7 @@ from heliograph.errors import DataError, MissingDependencyError
 __all__ = ["write_las"]
 
 _SCALE = 1e-3
-_INSTALL = "pip install heliograph[las]"
+_INSTALL = "pip install 'heliograph[las]'"
 
 
 def write_las(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Sequence[str]) -> None:

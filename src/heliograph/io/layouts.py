@@ -12,7 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["INTENSITY_FIELDS", "LAYOUTS", "RING_FIELDS", "TIME_FIELDS", "UNITS", "Layout", "find_layout", "time_field"]
+__all__ = [
+    "DESKEWED_LAYOUTS",
+    "INTENSITY_FIELDS",
+    "LAYOUTS",
+    "RING_FIELDS",
+    "TIME_FIELDS",
+    "UNITS",
+    "Layout",
+    "find_layout",
+    "time_field",
+]
 
 UNITS: Mapping[str, float] = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 """Nanoseconds a unit."""
@@ -107,6 +117,9 @@ LAYOUTS: tuple[Layout, ...] = (
         checked="HesaiLidar_ROS_2.0: src/manager/source_driver_ros2.hpp; rslidar_sdk: POINT_TYPE XYZIRT",
     ),
 )
+
+DESKEWED_LAYOUTS = ("kitti-odometry",)
+"""``RawCloud.layout`` of clouds whose points are all of one instant: inferring times for them would distort them."""
 
 TIME_FIELDS = (
     "t",

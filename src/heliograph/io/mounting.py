@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import Event, Rig
-from heliograph.errors import CalibrationError, ConfigError, FormatError
+from heliograph.io.extrinsic import read_extrinsic
 from heliograph.io.inference import Inference, inferred
-from heliograph.io.messages import quaternion_matrix
 from heliograph.io.raw import RawCloud, RawImu, RawTransform
 from heliograph.io.scans import valid_points
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
-__all__ = ["FACTORY_MOUNTINGS", "FrameTree", "Mounting", "find_mounting", "read_extrinsic", "recognise_livox"]
+__all__ = ["FACTORY_MOUNTINGS", "FrameTree", "Mounting", "find_mounting", "recognise_livox"]
 
 UNKNOWN_ROTATION = float(np.pi)
 UNKNOWN_LEVER_ARM = 0.3
@@ -100,7 +92,7 @@ def find_mounting(
         Path of the user's file, or empty.
     """
     if extrinsic:
-        rig = Rig(T_imu_lidar=read_extrinsic(Path(extrinsic)), source=f"file {extrinsic}")
+        rig = read_extrinsic(Path(extrinsic))
         return Mounting(rig, (_describe(rig, "given by the user", "override"),), ())
     if not clouds or not samples:
         rig = Rig(T_imu_lidar=np.eye(4), source="one sensor only: its frame is the body")
@@ -201,54 +193,3 @@ def recognise_livox(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> tu
     T_imu_lidar = np.eye(4)
     T_imu_lidar[:3, 3] = -np.array(FACTORY_MOUNTINGS[name])
     return T_imu_lidar, name
-
-
-def read_extrinsic(path: Path) -> NDArray[np.float64]:
-    """Read ``T_imu_lidar`` from a TOML file.
-
-    Parameters
-    ----------
-    path : Path
-        With ``rotation`` (three rows of three, or a quaternion xyzw) and ``translation`` [m], at the top or in a table
-        ``[T_imu_lidar]``.
-
-    Raises
-    ------
-    FormatError
-        The file is missing or no TOML.
-    ConfigError
-        A key is missing or misshapen.
-    CalibrationError
-        The rotation is not one.
-    """
-    try:
-        content: dict[str, Any] = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror}); check --extrinsic") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise FormatError(path, f"not a TOML file: {error}") from error
-    table = content.get("T_imu_lidar", content)
-    try:
-        rotation = np.asarray(table["rotation"], dtype=np.float64)
-        translation = np.asarray(table["translation"], dtype=np.float64).reshape(3)
-    except (KeyError, ValueError, TypeError) as error:
-        raise ConfigError(
-            f"{path}: needs rotation (3 x 3 or quaternion xyzw) and translation (3 numbers, metres): {error}"
-        ) from error
-    if rotation.shape == (4,):
-        if abs(float(np.linalg.norm(rotation)) - 1) > 1e-3:
-            raise CalibrationError(
-                f"{path}: the quaternion has norm {np.linalg.norm(rotation):.4f}, not 1; order is x, y, z, w"
-            )
-        rotation = quaternion_matrix(rotation)
-    if rotation.shape != (3, 3):
-        raise ConfigError(f"{path}: rotation has shape {rotation.shape}, expected (3, 3) or (4,)")
-    error_size = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if error_size > 1e-3 or np.linalg.det(rotation) < 0:
-        raise CalibrationError(
-            f"{path}: rotation is not a rotation (R R^T differs from 1 by {error_size:.2g}); check signs and rows"
-        )
-    u, _, vt = np.linalg.svd(rotation)  # the nearest rotation: files are rounded
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = u @ vt, translation
-    return T

@@ -64,6 +64,10 @@ class PacketDecoder(Protocol):
         """Return what the message completes."""
         ...
 
+    def finish(self) -> list[RawMessage]:
+        """Return what is left when the stream has ended: the last sweep, whole or not."""
+        ...
+
     def factory_T_imu_lidar(self) -> tuple[NDArray[np.float64], str] | None:
         """Return the sensor's own ``T_imu_lidar`` and its name, where the metadata tell it."""
         ...

@@ -234,6 +234,8 @@ class RosbagSource:
                 if channel.message_type in PACKET_DRIVERS and channel.message_type not in packets:
                     raise
                 note_bad_message(self.events, channel.topic, received_ns, error)
+        for decoder in packets.values():
+            yield from decoder.finish()
 
     def _payloads(self, topics: frozenset[str], start_ns: int) -> Iterator[RawBytes]:
         streams = [

@@ -13,7 +13,7 @@ from heliograph.config import InputConfig
 from heliograph.data import Event
 from heliograph.errors import ConfigError, DataError, closest
 from heliograph.io.inference import Inference, inferred
-from heliograph.io.layouts import UNITS, Layout, find_layout, time_field
+from heliograph.io.layouts import DESKEWED_LAYOUTS, UNITS, Layout, find_layout, time_field
 from heliograph.io.raw import RawCloud
 from heliograph.io.scans import PointTiming, valid_points
 
@@ -85,7 +85,7 @@ def _stamp_source(clouds: Sequence[RawCloud]) -> tuple[str, list[Event]]:
             f"{topic}: header stamps run backwards ({np.count_nonzero(steps < 0)} of the first {len(steps)} steps, "
             f"median {np.median(steps) / 1e9:.3f} s); re-record or sort the messages by stamp"
         )
-    if stamps[0] <= 0 or (len(steps) >= 2 and not steps.any()):
+    if stamps.max() <= 0 or (len(steps) >= 2 and not steps.any()):
         message = (
             f"{topic}: header stamps do not advance (first {stamps[0]}); times of reception are used, which jitter"
         )
@@ -270,6 +270,9 @@ def _check_latency(timing: PointTiming, clouds: Sequence[RawCloud], meaning: str
 
 def _without_field(clouds: Sequence[RawCloud], base: PointTiming, field: str | None) -> TimingResult:
     """Time the points from the sweep's geometry where that is clear, else not at all."""
+    if clouds[0].layout in DESKEWED_LAYOUTS:
+        evidence = "the scans are already free of motion distortion"
+        return TimingResult(replace(base, method="none"), (inferred("point time field", "none", evidence),), ())
     cause = f"field '{field}' is constant" if field else f"none of the fields {list(clouds[0].columns)} is a time"
     method, direction, evidence = _sweep_geometry(clouds)
     timing = replace(base, method=method, direction=direction)

@@ -1,1 +1,6 @@
-"""Heliograph: registration."""
+"""Registration of a cloud to a map: residuals, robust normal equations, degeneracy."""
+
+from heliograph.registration.degeneracy import Observability, observability
+from heliograph.registration.linearize import MatchSettings, NormalEquations, linearize
+
+__all__ = ["MatchSettings", "NormalEquations", "Observability", "linearize", "observability"]

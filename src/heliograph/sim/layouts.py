@@ -1,7 +1,8 @@
 """Point messages as the drivers write them: fields, offsets, order of the points, and what the stamps mean.
 
-The tables follow the drivers' own sources: ouster-ros (``os_point.h``), velodyne (``pointcloudXYZIRT``),
-HesaiLidar_ROS_2.0 (``source_driver_ros2.hpp``), rslidar_sdk (``source_pointcloud_ros.hpp``), livox_ros_driver2 (``lddc.cpp``).
+The tables follow the drivers' own sources: ouster-ros (``os_point.h``, ``point_cloud_compose.h``), velodyne
+(``pointcloudXYZIRT``, ``datacontainerbase.hpp``), HesaiLidar_ROS_2.0 (``source_driver_ros2.hpp``), rslidar_sdk
+(``source_pointcloud_ros.hpp``), livox_ros_driver2 (``lddc.cpp``).
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from heliograph.sim.simulate import Sweep
 __all__ = ["LAYOUTS", "Layout", "PackedCloud", "find_layout"]
 
 _Fields = list[tuple[str, str, int]]
+_NAN = np.float32(np.nan)
 _XYZ: _Fields = [("x", "<f4", 0), ("y", "<f4", 4), ("z", "<f4", 8)]
 
 
@@ -84,17 +86,18 @@ def _filled(dtype: np.dtype[np.void], xyz: NDArray[np.float32], **columns: objec
 
 
 def _ouster(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
-    """Organised, top row first, lost returns as zeros; ``t`` counts from the header's stamp, the sweep's start."""
+    """Organised, top row first, lost returns as NaN; ``t`` counts from the header's stamp, the sweep's start."""
     rows, columns = sweep.ranges.shape
     points = np.zeros((rows, columns), dtype)
+    lost = sweep.ranges == 0.0
     for i, name in enumerate("xyz"):
-        points[name] = sweep.points[..., i]
+        points[name] = np.where(lost, _NAN, sweep.points[..., i])
     points["intensity"] = sweep.intensity
     points["t"] = sweep.offsets_ns
     points["reflectivity"] = sweep.intensity
     points["ring"] = np.arange(rows)[:, None]
     points["range"] = np.round(1000.0 * sweep.ranges)
-    return PackedCloud(stamp_ns=sweep.stamp_ns, height=rows, width=columns, points=points, is_dense=True)
+    return PackedCloud(stamp_ns=sweep.stamp_ns, height=rows, width=columns, points=points, is_dense=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +143,22 @@ def _velodyne_negative(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
     return _unorganised(sweep.stamp_ns + last, points, is_dense=True)
 
 
-def _absolute_seconds(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
-    """``timestamp`` in seconds since the epoch, as a double (good to 0.24 us)."""
+def _robosense(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
+    """``timestamp`` in absolute seconds; one message row a firing, lost returns as NaN, the last point's header stamp.
+
+    These are the driver's defaults: ``ros_send_by_rows``, ``dense_points`` and ``ts_first_point`` all false.
+    """
+    fired = _Fired.of(sweep, lost=True)
+    timestamp = (sweep.stamp_ns + fired.offsets_ns) * 1e-9
+    xyz = np.where(np.any(fired.xyz != 0.0, axis=1, keepdims=True), fired.xyz, _NAN)
+    points = _filled(dtype, xyz, intensity=fired.intensity, ring=fired.ring, timestamp=timestamp)
+    rows, columns = sweep.ranges.shape
+    stamp_ns = sweep.stamp_ns + int(sweep.offsets_ns[-1])
+    return PackedCloud(stamp_ns=stamp_ns, height=columns, width=rows, points=points, is_dense=False)
+
+
+def _hesai(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
+    """``timestamp`` in seconds since the epoch, as a double (good to 0.24 us); lost returns are left out."""
     fired = _Fired.of(sweep)
     timestamp = (sweep.stamp_ns + fired.offsets_ns) * 1e-9
     points = _filled(dtype, fired.xyz, intensity=fired.intensity, ring=fired.ring, timestamp=timestamp)
@@ -205,8 +222,8 @@ LAYOUTS: MappingProxyType[str, Layout] = MappingProxyType(
             ("ouster", _CLOUD, "os_lidar", _OUSTER, _ouster),
             ("velodyne", _CLOUD, "velodyne", _VELODYNE, _velodyne),
             ("velodyne-negative", _CLOUD, "velodyne", _VELODYNE, _velodyne_negative),
-            ("hesai", _CLOUD, "hesai_lidar", _ABSOLUTE, _absolute_seconds),
-            ("robosense", _CLOUD, "rslidar", _ABSOLUTE, _absolute_seconds),
+            ("hesai", _CLOUD, "hesai_lidar", _ABSOLUTE, _hesai),
+            ("robosense", _CLOUD, "rslidar", _ABSOLUTE, _robosense),
             ("livox-custom", "livox_ros_driver2/msg/CustomMsg", "livox_frame", _LIVOX_POINT, _livox_custom),
             ("livox-custom-ros1name", "livox_ros_driver/msg/CustomMsg", "livox_frame", _LIVOX_POINT, _livox_custom),
             ("livox-pointcloud2", _CLOUD, "livox_frame", _LIVOX_CLOUD, _livox_pointcloud2),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,11 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from heliograph.data import GnssFix
+from heliograph.lie import so3
 from heliograph.sim.layouts import Layout, PackedCloud
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Msg
 
 __all__ = ["Messages"]
 
@@ -37,7 +42,7 @@ class Messages:
         self.store = _typestore()
         self._types = self.store.types
 
-    def _header(self, stamp_ns: int, frame_id: str) -> object:
+    def _header(self, stamp_ns: int, frame_id: str) -> Msg:
         stamp = self._types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
         return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
 
@@ -106,7 +111,7 @@ class Messages:
         transform, stamped = (self._types[f"geometry_msgs/msg/Transform{s}"] for s in ("", "Stamped"))
         messages = []
         for parent, child, T in edges:
-            x, y, z, w = quaternion_xyzw(T[None, :3, :3])[0].tolist()
+            x, y, z, w = so3.to_quaternion(T[:3, :3]).tolist()
             t = T[:3, 3].tolist()
             placed = transform(translation=vector(x=t[0], y=t[1], z=t[2]), rotation=quaternion(x=x, y=y, z=z, w=w))
             messages.append(stamped(header=self._header(stamp_ns, parent), child_frame_id=child, transform=placed))
@@ -124,20 +129,3 @@ def _livox(frame_id: str, cloud: PackedCloud) -> bytes:
     body += struct.pack("<QIB3xI", cloud.stamp_ns, count, 192, count)
     # CDR aligns a point to 4 bytes, so that all but the last are followed by one byte of padding.
     return b"\x00\x01\x00\x00" + body + cloud.points.tobytes()[:-1]
-
-
-def quaternion_xyzw(R: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert rotation matrices (M, 3, 3) to unit quaternions (M, 4), w >= 0.
-
-    Notes
-    -----
-    The eigenvector of the largest eigenvalue of a symmetric matrix (I. Bar-Itzhack, J. Guidance 23(6), 2000): accurate
-    for every rotation, without case distinctions.
-    """
-    K = np.empty((len(R), 4, 4))
-    K[:, :3, :3] = R + np.transpose(R, (0, 2, 1)) - np.trace(R, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    v = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
-    K[:, :3, 3] = K[:, 3, :3] = v
-    K[:, 3, 3] = np.trace(R, axis1=1, axis2=2)
-    q = np.linalg.eigh(K)[1][:, :, 3]
-    return np.asarray(np.where(q[:, 3:] < 0.0, -q, q))

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from heliograph.sim.rotation import euler_to_matrix
+from heliograph.lie import so3
 from heliograph.sim.trajectory import Course
 from heliograph.sim.world import Primitive, Surface, World, box, cylinder, rectangle
 
@@ -24,8 +24,8 @@ _WOOD = Surface(reflectivity=0.5, contrast=0.3, period=0.3)
 _GRASS = Surface(reflectivity=0.3, contrast=0.4, period=0.5)
 
 _LEVEL = np.eye(3)
-_FACES_X = euler_to_matrix((np.pi / 2, 0.0, np.pi / 2))  # local x along world y, local y up, normal along world x
-_FACES_Y = euler_to_matrix((np.pi / 2, 0.0, 0.0))  # local x along world x, local y up, normal along world -y
+_FACES_X = so3.from_rpy(np.pi / 2, 0.0, np.pi / 2)  # local x along world y, local y up, normal along world x
+_FACES_Y = so3.from_rpy(np.pi / 2, 0.0, 0.0)  # local x along world x, local y up, normal along world -y
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class Place:
 
 
 def _yaw(angle: float) -> NDArray[np.float64]:
-    return euler_to_matrix((0.0, 0.0, angle))
+    return so3.from_rpy(0.0, 0.0, angle)
 
 
 def _standing(x: float, y: float, size: ArrayLike, surface: Surface, *, yaw: float = 0.0, z: float = 0.0) -> Primitive:
@@ -116,17 +116,15 @@ def _yard(rng: np.random.Generator) -> Iterator[Primitive]:
     """Yield the yard east of the hall: a ramp, containers, a facade, a bank, poles and trees."""
     slope = float(np.arctan(0.05))
     yield rectangle((45.0, 12.0, 0.0), (6.0, 90.0), _LEVEL, _ASPHALT)
-    yield rectangle(
-        (53.0, 12.0, 0.25), (float(np.hypot(10.0, 0.5)), 90.0), euler_to_matrix((0.0, -slope, 0.0)), _ASPHALT
-    )
+    yield rectangle((53.0, 12.0, 0.25), (float(np.hypot(10.0, 0.5)), 90.0), so3.from_rpy(0.0, -slope, 0.0), _ASPHALT)
     yield rectangle((78.0, 12.0, 0.5), (40.0, 90.0), _LEVEL, _ASPHALT)
     yield box((91.0, 12.0, 6.5), (10.0, 46.0, 12.0), None, _BRICK)
     for y in np.arange(-7.0, 33.0, 4.0):  # window reveals and a cornice break the facade's plane
         for z in (2.4, 6.0, 9.6):
             yield box((85.95, y, z), (0.3, 1.4, 1.8), None, Surface(reflectivity=0.75, contrast=0.1, period=0.7))
     yield box((85.8, 12.0, 12.3), (0.8, 46.4, 0.4), None, _CONCRETE)
-    yield rectangle((66.0, 41.0, 2.1), (48.0, 8.0), euler_to_matrix((np.radians(24.0), 0.0, 0.0)), _GRASS)
-    yield rectangle((66.0, -14.0, 1.6), (48.0, 5.0), euler_to_matrix((np.radians(-31.0), 0.0, 0.0)), _GRASS)
+    yield rectangle((66.0, 41.0, 2.1), (48.0, 8.0), so3.from_rpy(np.radians(24.0), 0.0, 0.0), _GRASS)
+    yield rectangle((66.0, -14.0, 1.6), (48.0, 5.0), so3.from_rpy(np.radians(-31.0), 0.0, 0.0), _GRASS)
     for x, y, turn in ((51.0, 0.0, 0.1), (58.5, -3.0, -0.2), (77.0, 1.0, 1.5), (54.0, 25.0, 0.15), (63.0, 27.0, -0.3)):
         if rng.random() < 0.85:
             yaw = turn + rng.normal(0.0, 0.15)
@@ -140,7 +138,7 @@ def _yard(rng: np.random.Generator) -> Iterator[Primitive]:
         yield cylinder((x, y, _ramp_height(x) + 3.5), 0.11, 7.0, None, _STEEL)
     for x, y in rng.uniform((50.0, 30.5), (82.0, 35.0), (5, 2)):
         yield cylinder((x, y, 1.6), 0.2, 3.2, None, _WOOD)
-        yield box((x, y, 4.2), rng.uniform(1.8, 2.8, 3), euler_to_matrix(rng.uniform(-0.5, 0.5, 3)), _GRASS)
+        yield box((x, y, 4.2), rng.uniform(1.8, 2.8, 3), so3.from_rpy(*rng.uniform(-0.5, 0.5, 3)), _GRASS)
 
 
 def warehouse(rng: np.random.Generator) -> Place:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, TypeVar, get_type_hints
+from typing import Any
 
 import tomli_w
 
+from heliograph.config_toml import build
 from heliograph.errors import ConfigError, closest
 from heliograph.sim.places import PLACES
 from heliograph.sim.sensors import GnssModel, ImuModel, LidarModel
@@ -21,8 +22,6 @@ else:
     import tomli as tomllib
 
 __all__ = ["SCENARIOS", "Mount", "Scenario", "Walk", "find_scenario", "from_toml", "to_toml"]
-
-_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,28 +140,13 @@ def from_toml(text: str) -> Scenario:
     Raises
     ------
     ConfigError
-        If the text is not TOML, or a key is unknown.
+        If the text is not TOML, a key is unknown, or a value is of the wrong type.
     """
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"not a scenario in TOML: {error}") from error
-    return _build(Scenario, table, "")
-
-
-def _build(cls: type[_T], table: Mapping[str, Any], where: str) -> _T:
-    hints = get_type_hints(cls)
-    names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
-    values = {}
-    for key, value in table.items():
-        if key not in names:
-            raise ConfigError(f"scenario key '{where}{key}' is unknown{closest(key, names)}")
-        if is_dataclass(hints[key]):
-            value = _build(hints[key], value, f"{where}{key}.")  # type: ignore[arg-type]
-        elif isinstance(value, list):
-            value = tuple(value)
-        values[key] = value
-    return cls(**values)
+    return build(Scenario, table)
 
 
 def _registry() -> dict[str, Scenario]:

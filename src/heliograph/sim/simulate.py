@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import GnssFix, ImuBatch, ImuNoise, Rig, Scan
+from heliograph.lie import se3, so3
 from heliograph.sim.geodesy import enu_to_geodetic
 from heliograph.sim.places import PLACES
-from heliograph.sim.rotation import euler_to_matrix, rigid
 from heliograph.sim.scenario import Mount, Scenario
 from heliograph.sim.sensors import ImuErrors, measure_ranges
 from heliograph.sim.trajectory import Motion, WalkedPath
@@ -43,8 +45,8 @@ class Mounting:
     @property
     def T_imu_lidar(self) -> NDArray[np.float64]:
         """Pose of the LiDAR in the IMU frame [m]."""
-        T: NDArray[np.float64] = rigid(self.R_body_imu.T, np.zeros(3)) @ self.T_body_lidar
-        return T
+        T_imu_body = se3.from_rotation_translation(self.R_body_imu.T, np.zeros(3))
+        return se3.compose(T_imu_body, self.T_body_lidar)
 
     @classmethod
     def draw(cls, mount: Mount, rng: np.random.Generator) -> Mounting:
@@ -52,18 +54,13 @@ class Mounting:
         arm, axis = rng.standard_normal((2, 3))
         arm *= rng.uniform(*mount.lever_arm) / np.linalg.norm(arm)
         angle = np.radians(rng.uniform(*mount.rotation_deg))
-        R_rig_lidar = _axis_angle(axis / np.linalg.norm(axis), float(angle))
-        R_body_rig = euler_to_matrix(np.radians(mount.rig_rpy_deg))
-        R_body_imu = R_body_rig @ euler_to_matrix(np.radians(mount.imu_rpy_deg))
-        return cls(R_body_imu=R_body_imu, T_body_lidar=rigid(R_body_rig @ R_rig_lidar, R_body_rig @ arm))
-
-
-def _axis_angle(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    """Rotation matrix about a unit ``axis`` (Rodrigues)."""
-    x, y, z = axis
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    R: NDArray[np.float64] = np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * (K @ K)
-    return R
+        R_rig_lidar = so3.exp(angle * axis / np.linalg.norm(axis))
+        R_body_rig = so3.from_rpy(*np.radians(mount.rig_rpy_deg))
+        R_body_imu = R_body_rig @ so3.from_rpy(*np.radians(mount.imu_rpy_deg))
+        return cls(
+            R_body_imu=R_body_imu,
+            T_body_lidar=se3.from_rotation_translation(R_body_rig @ R_rig_lidar, R_body_rig @ arm),
+        )
 
 
 class Truth:
@@ -84,7 +81,8 @@ class Truth:
 
     def motion(self, stamps_ns: NDArray[np.int64]) -> Motion:
         """Return the IMU's motion: world pose, velocity, acceleration, and body rate in IMU axes."""
-        body = self._path((np.atleast_1d(stamps_ns) - EPOCH_NS) * 1e-9 + self._begin)
+        seconds = (np.atleast_1d(stamps_ns) - EPOCH_NS).astype(np.float64) * 1e-9
+        body = self._path(seconds + self._begin)
         R_body_imu = self._mounting.R_body_imu
         return Motion(
             R_world_body=body.R_world_body @ R_body_imu,
@@ -100,8 +98,7 @@ class Truth:
 
     def lidar_pose(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return T_world_lidar, (M, 4, 4)."""
-        T: NDArray[np.float64] = self.pose(stamps_ns) @ self._mounting.T_imu_lidar
-        return T
+        return se3.compose(self.pose(stamps_ns), self._mounting.T_imu_lidar)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -257,24 +254,18 @@ class Simulation:
 
     def __iter__(self) -> Iterator[Scan | ImuBatch | GnssFix]:
         """Yield records in the order in which a recorder would have got them."""
-        gyro, accel = self.imu()
-        fixes = list(self.fixes())
-        done = 0
-        for sweep in self.sweeps():
-            until = int(np.searchsorted(self.imu_stamps_ns, sweep.end_ns, side="right"))
-            if until > done:
-                yield self._batch(gyro, accel, done, until)
-                done = until
-            while fixes and fixes[0].received_ns <= sweep.end_ns:
-                yield fixes.pop(0)
-            yield sweep.scan(point_times=self.scenario.point_times)
-        if done < len(gyro):
-            yield self._batch(gyro, accel, done, len(gyro))
-        yield from fixes
+        scans = (sweep.scan(point_times=self.scenario.point_times) for sweep in self.sweeps())
+        streams: tuple[Iterator[Scan | ImuBatch | GnssFix], ...] = (self._batches(), self.fixes(), scans)
+        yield from heapq.merge(*streams, key=lambda record: record.received_ns)
 
-    def _batch(self, gyro: NDArray[np.float64], accel: NDArray[np.float64], begin: int, end: int) -> ImuBatch:
-        stamps = self.imu_stamps_ns[begin:end]
-        return ImuBatch(stamps_ns=stamps, gyro=gyro[begin:end], accel=accel[begin:end], received_ns=int(stamps[-1]))
+    def _batches(self) -> Iterator[ImuBatch]:
+        """Yield the IMU samples in batches that end with the LiDAR's turns, so that none waits for a later scan."""
+        gyro, accel = self.imu()
+        ends = EPOCH_NS + _LIDAR_PHASE_NS + self.scenario.lidar.period_ns * np.arange(1, self.sweep_count() + 1)
+        cuts = np.searchsorted(self.imu_stamps_ns, ends, side="right")
+        for begin, end in pairwise(np.unique([0, *cuts, len(gyro)]).tolist()):
+            stamps = self.imu_stamps_ns[begin:end]
+            yield ImuBatch(stamps_ns=stamps, gyro=gyro[begin:end], accel=accel[begin:end], received_ns=int(stamps[-1]))
 
 
 def simulate(scenario: Scenario, seed: int, *, threads: int = 1) -> Simulation:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import DataError
-from heliograph.sim.rotation import euler_to_matrix
+from heliograph.lie import so3
 
 __all__ = ["Course", "Gait", "Motion", "SpeedProfile", "UniformSpline", "WalkedPath"]
 
@@ -260,7 +260,7 @@ class WalkedPath:
         a += ddb * side + 2.0 * db * d_side + b * dd_side
         angles = np.stack([roll[0], pitch[0], q[:, 3] + yaw[0]], axis=1)
         rates = np.stack([roll[1], pitch[1], dq[:, 3] + yaw[1]], axis=1)
-        R, omega = euler_to_matrix(angles), _body_rate(angles, rates)
+        R, omega = so3.from_rpy(*angles.T), _body_rate(angles, rates)
         return Motion(R_world_body=R, p_world=p, v_world=v, a_world=a, omega_body=omega)
 
     @staticmethod

@@ -14,9 +14,9 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from heliograph.errors import OutputError
+from heliograph.lie import se3, so3
 from heliograph.sim.layouts import Layout, find_layout
-from heliograph.sim.messages import Messages, quaternion_xyzw
-from heliograph.sim.rotation import rigid
+from heliograph.sim.messages import Messages
 from heliograph.sim.scenario import Scenario, to_toml
 from heliograph.sim.simulate import EPOCH_NS, Simulation
 
@@ -196,7 +196,7 @@ def _transforms(simulation: Simulation, layout: Layout, messages: Messages) -> I
         return
     mounting = simulation.mounting
     edges = [
-        (_BODY_FRAME, _IMU_FRAME, rigid(mounting.R_body_imu, np.zeros(3))),
+        (_BODY_FRAME, _IMU_FRAME, se3.from_rotation_translation(mounting.R_body_imu, np.zeros(3))),
         (_BODY_FRAME, layout.frame_id, mounting.T_body_lidar),
     ]
     yield EPOCH_NS, 0, "/tf_static", messages.transforms(EPOCH_NS, edges)
@@ -221,7 +221,7 @@ def _clouds(simulation: Simulation, layout: Layout, messages: Messages) -> Itera
 
 def _write_tum(path: Path, body: str, stamps_ns: NDArray[np.int64], T_world_body: NDArray[np.float64]) -> None:
     """Write ``stamp x y z qx qy qz qw`` rows: seconds with 9 decimals, metres, unit quaternion."""
-    rows = np.hstack([T_world_body[:, :3, 3], quaternion_xyzw(T_world_body[:, :3, :3])])
+    rows = np.hstack([T_world_body[:, :3, 3], so3.to_quaternion(T_world_body[:, :3, :3])])
     with path.open("w", encoding="utf-8") as file:
         file.write(f"# T_world_{body}: stamp [s] x y z [m] qx qy qz qw; exact, one row an IMU sample\n")
         for stamp, row in zip(stamps_ns.tolist(), rows.tolist(), strict=True):

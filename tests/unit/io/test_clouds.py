@@ -210,7 +210,7 @@ def test_las_refuses_nan(tmp_path, points):
 
 def test_las_without_laspy_names_the_install_command(tmp_path, points, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install heliograph\[las\]"):
+    with pytest.raises(MissingDependencyError, match=r"pip install 'heliograph\[las\]'"):
         write_cloud(tmp_path / "a.laz", points)
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from heliograph.errors import CalibrationError, ConfigError, FormatError
-from heliograph.io.mounting import FrameTree, find_mounting, read_extrinsic
+from heliograph.io.mounting import FrameTree, find_mounting
 from heliograph.io.raw import RawCloud, RawImu, RawTransform
 
 
@@ -128,24 +127,3 @@ def test_extrinsic_file_overrules_tf(text, tmp_path):
     found = mounting([edge("imu", "lidar")], extrinsic=str(tmp_path / "calib.toml"))
     assert np.allclose(found.rig.T_imu_lidar @ [1.0, 0.0, 0.0, 1.0], [0.1, 1.2, 0.3, 1.0])
     assert found.inferences[0].source == "override"
-
-
-@pytest.mark.parametrize(
-    ("text", "error", "words"),
-    [
-        ("translation = [0, 0, 0]", ConfigError, "rotation"),
-        ("rotation = [0, 0, 0, 2]\ntranslation = [0, 0, 0]", CalibrationError, "norm 2"),
-        ("rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]\ntranslation = [0, 0, 0]", CalibrationError, "not a rotation"),
-        ("rotation = [[1, 0], [0, 1]]\ntranslation = [0, 0, 0]", ConfigError, "shape"),
-        ("rotation = = ", FormatError, "not a TOML file"),
-    ],
-)
-def test_bad_extrinsic_file_is_refused(text, error, words, tmp_path):
-    (tmp_path / "calib.toml").write_text(text)
-    with pytest.raises(error, match=words):
-        read_extrinsic(tmp_path / "calib.toml")
-
-
-def test_missing_extrinsic_file_is_refused(tmp_path):
-    with pytest.raises(FormatError, match="cannot be read"):
-        read_extrinsic(tmp_path / "none.toml")

@@ -47,7 +47,7 @@ def test_sharpness_does_not_depend_on_the_order_of_points(rng):
 
 def test_sharpness_matches_a_plain_loop_over_cells(rng):
     points, edge = rng.normal(size=(2000, 3)), 1.0
-    entropies = []
+    entropies, smallest = [], []
     for shift in (0.0, 0.5):
         cells = np.floor(points / edge + shift)
         for cell in np.unique(cells, axis=0):
@@ -55,7 +55,11 @@ def test_sharpness_matches_a_plain_loop_over_cells(rng):
             if len(member) >= 10:
                 S = np.cov(member.T)
                 entropies += [0.5 * np.log(np.linalg.det(2 * np.pi * np.e * S))] * len(member)
-    assert map_sharpness(points, edge / 2).entropy == pytest.approx(np.mean(entropies), rel=1e-9)
+                smallest += [np.linalg.eigvalsh(S)[0]] * len(member)
+    result = map_sharpness(points, edge / 2)
+    assert result.entropy == pytest.approx(np.mean(entropies), rel=1e-9)
+    assert result.plane_variance == pytest.approx(np.mean(smallest), rel=1e-9)
+    assert result.coverage == pytest.approx(len(entropies) / 4000)
 
 
 def test_sharpness_of_an_exact_plane_is_finite(rng):

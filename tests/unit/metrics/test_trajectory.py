@@ -158,6 +158,13 @@ def test_relative_error_pairs_are_the_first_far_enough(rng):
     assert result.rotation_max_deg == pytest.approx(max(rotation))
 
 
+def test_relative_error_pair_may_be_exactly_delta_apart():
+    T = np.tile(np.eye(4), (6, 1, 1))
+    T[:, 0, 3] = np.arange(6.0)
+    straight = Trajectory(stamps_ns=np.arange(6), T_frame_body=T)
+    assert relative_pose_error(associate(straight, straight), delta=3.0).n == 3
+
+
 def test_relative_error_ignores_the_fixed_frame(rng):
     reference = loop()
     estimate = noisy(reference, rng)

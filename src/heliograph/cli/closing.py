@@ -1,0 +1,68 @@
+"""The last lines of a run."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+__all__ = ["closing_lines", "print_closing", "warning_lines"]
+
+
+def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
+    """Return what a run amounted to: distance, time, gap, speed, weakest direction, files, verdict.
+
+    Parameters
+    ----------
+    facts : mapping
+        As in ``run.json``.
+    folder : Path
+        Where the files lie.
+    """
+    timings, weakest = facts["timings"], facts["weakest"]
+    parts = ", ".join(
+        f"{name} {1e3 * timings.get(f'{name}_s', 0.0) / facts['scans']:.1f}"
+        for name in ("reading", "odometry", "writing")
+    )
+    memory = "" if facts["peak_memory_mb"] is None else f"; peak memory {facts['peak_memory_mb']:.0f} MB"
+    lines = [
+        f"distance {facts['distance_m']:.2f} m in {facts['duration_s']:.1f} s, {facts['scans']} scans, "
+        f"start-end gap {facts['start_end_gap_m']:.3f} m",
+        f"{timings['wall_ms_per_scan']:.1f} ms a scan ({parts}){memory}",
+    ]
+    if weakest["eigenvalue"] is not None:
+        direction = ", ".join(f"{value:+.2f}" for value in weakest["direction_map"])
+        lines.append(
+            f"worst weak direction: ({direction}) in the map frame at scan {weakest['scan']}, "
+            f"eigenvalue {weakest['eigenvalue']:.3f} (1/3 would be even in all directions)"
+        )
+    lines.append(f"written to {folder}: {', '.join(facts['files'])}")
+    lines.append(f"report: {folder / 'report.html'}")
+    lines.append(f"status: {facts['status']}" + "".join(f"; {reason}" for reason in facts["reasons"]))
+    return lines
+
+
+def warning_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Return one line a warning, repeats counted."""
+    return [
+        f"{event['severity']}: {event['message']}" + (f" ({event['count']} times)" if event["count"] > 1 else "")
+        for event in facts["warnings"]
+        if event["severity"] != "info"
+    ]
+
+
+def print_closing(facts: Mapping[str, Any], folder: Path, *, json: bool, quiet: bool) -> None:
+    """Print a run's last lines: warnings to standard error, the rest, or one JSON object, to standard output."""
+    warnings = warning_lines(facts)
+    if json or quiet:
+        for line in warnings:
+            print(line, file=sys.stderr)
+        if json:
+            print(jsonlib.dumps(facts, allow_nan=False))
+        elif facts["status"] != "ok":
+            print(f"status: {facts['status']}; {'; '.join(facts['reasons'])}", file=sys.stderr)
+        return
+    for line in (*warnings, *closing_lines(facts, folder)):
+        print(line)

@@ -1,0 +1,95 @@
+"""`heliograph evaluate`: how far a trajectory is from a reference."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from heliograph.cli import options
+
+if TYPE_CHECKING:
+    from heliograph.data import Trajectory
+    from heliograph.metrics import Evaluation
+
+__all__ = ["evaluate", "evaluation_lines", "read_trajectory"]
+
+
+class Align(str, Enum):
+    """Alignments."""
+
+    se3 = "se3"
+    yaw = "yaw"
+    origin = "origin"
+    none = "none"
+
+
+def evaluate(
+    estimate: Annotated[Path, typer.Argument(metavar="ESTIMATE", help="TUM or KITTI file, or a run's folder.")],
+    reference: Annotated[
+        Path, typer.Argument(metavar="REFERENCE", help="TUM or KITTI file, or a simulated recording.")
+    ],
+    align: Annotated[Align, typer.Option("--align", help="Before the absolute error is taken.")] = Align.se3,
+    delta: Annotated[float, typer.Option("--delta", metavar="M", help="Path length of the relative error.")] = 10.0,
+    time_offset: Annotated[
+        str, typer.Option("--time-offset", metavar="S|auto", help="Added to the estimate's stamps.")
+    ] = "0",
+    json: options.Json = False,
+) -> None:
+    """Compare a trajectory with a reference: absolute error (ATE) and relative error (RPE)."""
+    from heliograph.errors import ConfigError
+    from heliograph.metrics import evaluate as evaluate_trajectory
+
+    try:
+        offset = time_offset if time_offset == "auto" else float(time_offset)
+    except ValueError:
+        raise ConfigError(f"--time-offset '{time_offset}' is neither a number of seconds nor 'auto'") from None
+    if not delta > 0.0:
+        raise ConfigError(f"--delta {delta:g} is not a positive length in metres")
+    result = evaluate_trajectory(
+        read_trajectory(estimate, "trajectory.tum"),
+        read_trajectory(reference, "groundtruth_imu.tum"),
+        align=align.value,
+        delta=delta,
+        time_offset=offset,
+    )
+    typer.echo(jsonlib.dumps(result.as_dict()) if json else "\n".join(evaluation_lines(result)))
+
+
+def read_trajectory(path: Path, in_folder: str) -> Trajectory:
+    """Read a TUM or KITTI file, told apart by the numbers in a row; of a folder, the file named ``in_folder``."""
+    from heliograph.errors import FormatError
+    from heliograph.io.tum import read_kitti, read_tum
+
+    if path.is_dir():
+        path = path / in_folder
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            rows = (line.partition("#")[0].replace(",", " ").split() for line in file)
+            width = next((len(row) for row in rows if row), 0)
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror}); give a TUM or KITTI trajectory file") from error
+    return read_kitti(path) if width == 12 else read_tum(path)
+
+
+def evaluation_lines(result: Evaluation) -> list[str]:
+    """Return an evaluation in words, with units."""
+    absolute, relative = result.absolute, result.relative
+    lines = [
+        f"{result.poses_compared} of {result.poses_reference} reference poses compared over {result.duration:.1f} s, "
+        f"path {result.path_length:.2f} m, alignment {result.align}, time offset {1e3 * result.time_offset:+.1f} ms",
+        f"ATE  rmse {absolute.rmse:.4f} m, median {absolute.median:.4f}, max {absolute.max:.4f}; "
+        f"rotation rmse {absolute.rotation_rmse_deg:.3f} deg",
+    ]
+    if relative.n:
+        lines.append(
+            f"RPE  over {relative.delta:g} m ({relative.n} pairs): {relative.translation_rmse:.4f} m rmse "
+            f"({relative.translation_rmse_percent:.2f} %), rotation {relative.rotation_rmse_deg:.3f} deg rmse"
+        )
+    else:
+        lines.append(f"RPE  none: the path is shorter than {relative.delta:g} m; choose a smaller --delta")
+    lines.append(f"start-end gap {result.start_end_gap:.4f} m, the reference's {result.start_end_gap_reference:.4f} m")
+    return lines

@@ -1,0 +1,94 @@
+"""The `heliograph` command: its entry point and what becomes of errors."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from heliograph.cli import demo, evaluate, info, run, simulate
+from heliograph.errors import HeliographError
+
+__all__ = ["app", "main"]
+
+DONE, DEFECT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+# typer carries click inside itself since 0.16, so its exceptions are reached through the one that typer exports.
+ClickError: type[Exception] = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
+
+app = typer.Typer(
+    name="heliograph",
+    help="LiDAR-inertial mapping: a recording goes in, a trajectory and a de-skewed map come out.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+app.command("run", short_help="Recording in, trajectory and map out: the main job.")(run.run)
+app.command("info", short_help="What a recording holds and what was inferred from it.")(info.info)
+app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
+app.command("simulate", short_help="A recording with ground truth.")(simulate.simulate)
+app.command("demo", short_help="Simulate, map, evaluate: see it work.")(demo.demo)
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
+) -> None:
+    if version:
+        from importlib.metadata import version as installed
+
+        typer.echo(f"heliograph {installed('heliograph')}")
+        raise typer.Exit
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return the process's exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Instead of ``sys.argv[1:]``.
+
+    Returns
+    -------
+    int
+        0 done (warnings included), 2 bad input or usage, 130 interrupted, 1 a defect of Heliograph.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if not arguments:
+        arguments = ["--help"]
+    try:
+        code = app(arguments, standalone_mode=False)
+        sys.stdout.flush()
+    except HeliographError as error:
+        return _fail(str(error))
+    except ClickError as error:
+        return _fail(_usage(error))
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail("interrupted", INTERRUPTED)
+    except BrokenPipeError:  # `heliograph info ... | head`: the reader has what it wanted
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except Exception:
+        traceback.print_exc()
+        return _fail("this is a defect of Heliograph, not of your data; please report it with the lines above", DEFECT)
+    return code if isinstance(code, int) else DONE
+
+
+def _fail(message: str, code: int = BAD_INPUT) -> int:
+    print("error:", " ".join(message.split()), file=sys.stderr)
+    return code
+
+
+def _usage(error: Exception) -> str:
+    """Return a usage error as one line that says where help is."""
+    message = getattr(error, "format_message", lambda: str(error))()
+    context = getattr(error, "ctx", None)
+    where = f"; see `{context.command_path} --help`" if context is not None else ""
+    return f"{' '.join(message.split()).rstrip('.')}{where}"

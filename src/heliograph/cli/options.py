@@ -1,0 +1,110 @@
+"""Command-line options that several commands share, and how they become a configuration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from heliograph.config import RunConfig
+
+__all__ = ["MapFormat", "OdometryName", "build_config", "input_options", "sensor_list"]
+
+Recordings = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RECORDING...", help="A bag, an MCAP file, a pcap, a folder, or several that belong together."
+    ),
+]
+LidarTopic = Annotated[
+    str | None, typer.Option("--lidar-topic", metavar="TOPIC", help="LiDAR topic, where there are several.")
+]
+ImuTopic = Annotated[
+    str | None, typer.Option("--imu-topic", metavar="TOPIC", help="IMU topic, where there are several.")
+]
+Extrinsic = Annotated[
+    Path | None,
+    typer.Option(
+        "--extrinsic", metavar="FILE", help="TOML with T_imu_lidar: rotation (3x3 or xyzw) and translation [m]."
+    ),
+]
+Start = Annotated[float | None, typer.Option("--start", metavar="S", min=0.0, help="Skip the first S seconds.")]
+Duration = Annotated[float | None, typer.Option("--duration", metavar="S", min=0.0, help="Use only S seconds.")]
+ConfigFile = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="TOML with settings; see config.toml of any run.")
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="One setting, such as output.map_voxel=0.2; repeatable."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to standard output.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no closing lines; only warnings and errors.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]
+
+
+class OdometryName(str, Enum):
+    """Estimators."""
+
+    filter = "filter"
+
+
+class MapFormat(str, Enum):
+    """Formats of the map file."""
+
+    ply = "ply"
+    pcd = "pcd"
+    laz = "laz"
+
+
+def build_config(
+    config_file: Path | None,
+    settings: list[str] | None,
+    *,
+    run: dict[str, Any] | None = None,
+    input: dict[str, Any] | None = None,
+    output: dict[str, Any] | None = None,
+) -> RunConfig:
+    """Return the defaults, overlaid with the file, then ``--set``, then the options that were given (not None).
+
+    Raises
+    ------
+    ConfigError
+        Unknown key or wrong type, with a suggestion.
+    """
+    from heliograph.config import RunConfig
+    from heliograph.config_toml import apply_overrides, load_config
+
+    config = RunConfig() if config_file is None else load_config(config_file)
+    config = apply_overrides(config, settings or [])
+    sections = {"input": _given(input), "output": _given(output)}
+    changed = {name: replace(getattr(config, name), **values) for name, values in sections.items() if values}
+    return replace(config, **changed, **_given(run))
+
+
+def input_options(
+    lidar_topic: str | None, imu_topic: str | None, extrinsic: Path | None, start: float | None, duration: float | None
+) -> dict[str, Any]:
+    """Return the options that say how a recording is read, by their names in the configuration."""
+    return {
+        "lidar_topic": lidar_topic,
+        "imu_topic": imu_topic,
+        "extrinsic": None if extrinsic is None else str(extrinsic),
+        "start": start,
+        "duration": duration,
+    }
+
+
+def sensor_list(text: str | None) -> str | None:
+    """Return ``"imu, lidar"`` as ``"lidar,imu"``: the order in which they are named does not matter."""
+    if text is None or text == "auto":
+        return text
+    names = {name.strip() for name in text.split(",") if name.strip()}
+    return ",".join(sorted(names, key=lambda name: (name != "lidar", name)))
+
+
+def _given(values: dict[str, Any] | None) -> dict[str, Any]:
+    return {name: value for name, value in (values or {}).items() if value is not None}

@@ -1,0 +1,74 @@
+"""Progress on standard error: a bar on a terminal, a line every few seconds elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from heliograph.data import ScanResult
+from heliograph.output import RunSummary, Sink
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+__all__ = ["ProgressSink"]
+
+_LINE_SECONDS = 5.0
+_REFRESH_SECONDS = 0.2
+
+
+class ProgressSink(Sink):
+    """Shows scans done, scans a second and the time left.
+
+    Parameters
+    ----------
+    total : int or None
+        Scans expected.
+    label : str
+        What is being done.
+    """
+
+    def __init__(self, total: int | None, label: str) -> None:
+        self.total, self.label = total, label
+        self._done = 0
+        self._start = self._shown = time.monotonic()
+        self._bar = _bar(total, label) if sys.stderr.isatty() else None
+
+    def add(self, result: ScanResult) -> None:  # noqa: ARG002 - the protocol's; only that it came counts
+        """Count one scan."""
+        self._done += 1
+        now = time.monotonic()
+        if self._bar is not None and now - self._shown >= _REFRESH_SECONDS:
+            self._shown = now
+            self._bar.update(self._bar.task_ids[0], completed=self._done, rate=self._rate(now), refresh=True)
+        elif self._bar is None and now - self._shown >= _LINE_SECONDS:
+            self._shown = now
+            of = f" of {self.total}" if self.total else ""
+            left = f", {(self.total - self._done) / self._rate(now):.0f} s left" if self.total else ""
+            print(f"{self.label}: {self._done}{of} scans, {self._rate(now):.0f} a second{left}", file=sys.stderr)
+
+    def close(self, summary: RunSummary) -> None:  # noqa: ARG002 - the protocol's
+        """End the bar."""
+        if self._bar is not None:
+            rate = self._rate(time.monotonic())
+            self._bar.update(self._bar.task_ids[0], completed=self._done, total=self._done, rate=rate)
+            self._bar.stop()
+
+    def _rate(self, now: float) -> float:
+        return self._done / max(now - self._start, 1e-9)
+
+
+def _bar(total: int | None, label: str) -> Progress:
+    """Start a bar that is drawn only when told to: a refresh thread would take time from the estimation."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("scans"),
+        TextColumn("{task.fields[rate]:.0f} scans/s"), TimeRemainingColumn(),
+        console=Console(stderr=True), auto_refresh=False,
+    )  # fmt: skip
+    bar.start()
+    bar.add_task(label, total=total, rate=0.0)
+    return bar

@@ -1,0 +1,127 @@
+"""`heliograph run`: the main job."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from heliograph.cli import options
+from heliograph.cli.closing import print_closing
+from heliograph.cli.options import MapFormat, OdometryName
+
+if TYPE_CHECKING:
+    from heliograph.config import RunConfig
+    from heliograph.io import Recording
+    from heliograph.output.run_folder import RunFolder
+
+__all__ = ["execute", "run"]
+
+
+def run(
+    recordings: options.Recordings,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_heliograph.")
+    ] = None,
+    overwrite: options.Overwrite = False,
+    odometry: Annotated[OdometryName | None, typer.Option("--odometry", help="Estimator.")] = None,
+    sensors: Annotated[
+        str | None,
+        typer.Option("--sensors", metavar="LIST", help="lidar,imu | lidar | imu; default: what the recording holds."),
+    ] = None,
+    lidar_topic: options.LidarTopic = None,
+    imu_topic: options.ImuTopic = None,
+    extrinsic: options.Extrinsic = None,
+    start: options.Start = None,
+    duration: options.Duration = None,
+    threads: Annotated[
+        int | None, typer.Option("--threads", metavar="N", min=0, help="Default: min(2, cores).")
+    ] = None,
+    frame: Annotated[
+        str | None,
+        typer.Option("--frame", metavar="NAME", help="Body of the poses: imu, lidar or a frame of the recording."),
+    ] = None,
+    map_format: Annotated[MapFormat | None, typer.Option("--map-format", help="Format of the map file.")] = None,
+    config: options.ConfigFile = None,
+    settings: options.Settings = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Estimate a recording's trajectory and de-skewed map, and say how far they are to be trusted."""
+    resolved = options.build_config(
+        config,
+        settings,
+        run={"odometry": odometry and odometry.value, "sensors": options.sensor_list(sensors), "threads": threads},
+        input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration),
+        output={"body": frame, "map_format": map_format and map_format.value},
+    )
+    folder, interrupted = execute(recordings, resolved, output, overwrite=overwrite, progress=not quiet)
+    print_closing(folder.facts, folder.path, json=json, quiet=quiet)
+    if interrupted:
+        raise typer.Exit(130)
+
+
+def execute(
+    recordings: list[Path], config: RunConfig, output: Path | None, *, overwrite: bool, progress: bool
+) -> tuple[RunFolder, bool]:
+    """Open a recording, run the pipeline on it, and write its folder.
+
+    Returns
+    -------
+    folder : RunFolder
+        With the account (``facts``) and the record of the run.
+    interrupted : bool
+        Whether Ctrl-C ended it.
+    """
+    from heliograph import pipeline
+    from heliograph.cli.interrupt import interruptible
+    from heliograph.cli.progress import ProgressSink
+    from heliograph.errors import OutputError
+    from heliograph.io import open_recording
+
+    began = time.perf_counter()
+    name = recordings[0].resolve().stem
+    with interruptible() as stop, open_recording(recordings, config.input, sensors=config.sensors) as recording:
+        pipeline.sensors_in_use(recording, config)  # a wrong choice is told before a folder is made
+        with _folder(recording, config, output or Path(f"{name}_heliograph"), name, overwrite=overwrite) as folder:
+            opening = time.perf_counter() - began
+            bar = [ProgressSink(recording.total_scans, name)] if progress else []
+            try:
+                summary = pipeline.run(recording, config, sinks=[*bar, folder], stop=stop, opening_seconds=opening)
+            except OutputError as error:
+                done = folder.record.summary.scans if folder.record else 0
+                raise OutputError(f"{error}; what could be saved of {done} scans is in {folder.path}") from error
+    return folder, summary.interrupted
+
+
+def _folder(recording: Recording, config: RunConfig, path: Path, name: str, *, overwrite: bool) -> RunFolder:
+    """Prepare the output folder for a recording."""
+    import numpy as np
+
+    from heliograph.config_toml import dump_config
+    from heliograph.maps import GlobalMap
+    from heliograph.output.facts import plain, versions
+    from heliograph.output.run_folder import RunFolder
+    from heliograph.pipeline import sensors_in_use
+    from heliograph.report import write_report
+
+    known_versions = versions()
+
+    def facts() -> dict[str, Any]:
+        recorded = plain(recording.summary())
+        return {"inferences": recorded.pop("inferences", []), "recording": recorded, "versions": known_versions}
+
+    return RunFolder(
+        path,
+        name=name,
+        config=dump_config(config),
+        body=config.output.body,
+        T_imu_body=np.asarray(recording.transform(config.output.body)),
+        global_map=GlobalMap(config.output.map_voxel) if "lidar" in sensors_in_use(recording, config) else None,
+        map_format=config.output.map_format,
+        facts=facts,
+        finishers=(write_report,),
+        overwrite=overwrite,
+    )

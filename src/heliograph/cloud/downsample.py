@@ -1,0 +1,23 @@
+"""Thinning: fewer points, spread evenly."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph import _core
+
+__all__ = ["range_gate", "voxel_downsample"]
+
+
+def voxel_downsample(points: NDArray[np.float32], leaf: float) -> NDArray[np.int32]:
+    """Return the indices of the first finite point in each cube of edge ``leaf`` [m], (M,) int32 in input order.
+
+    A point is kept as measured rather than averaged: an average of a curved or mixed cube lies on no surface.
+    """
+    return np.asarray(_core.voxel_downsample(points, leaf))
+
+
+def range_gate(points: NDArray[np.float32], min_range: float, max_range: float) -> NDArray[np.int32]:
+    """Return the indices of the finite points at a distance in [``min_range``, ``max_range``] [m], (M,) int32."""
+    return np.asarray(_core.range_gate(points, min_range, max_range))

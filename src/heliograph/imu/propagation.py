@@ -1,0 +1,117 @@
+"""Batch inertial propagation with covariance (Sola 2017, "Quaternion kinematics for the error-state KF", ch. 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph import _core
+from heliograph.config import ImuConfig
+from heliograph.data import ImuBatch, ImuNoise, NavState
+from heliograph.errors import DataError
+from heliograph.lie import s2
+
+__all__ = ["NAV_DIM", "ImuPath", "propagate"]
+
+NAV_DIM = 17
+"""Errors that inertial propagation moves; mounting errors, if estimated, follow and stay."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuPath:
+    """The motion between two instants as the IMU saw it.
+
+    Parameters
+    ----------
+    stamps_ns : (K,) int64
+        From the start to the end of the interval [ns].
+    R_odom_imu : (K, 3, 3) float64
+    p_odom, v_odom : (K, 3) float64
+        Position [m], velocity [m/s].
+    held_s : float
+        Time within it that no pair of samples covered [s].
+    """
+
+    stamps_ns: NDArray[np.int64]
+    R_odom_imu: NDArray[np.float64]
+    p_odom: NDArray[np.float64]
+    v_odom: NDArray[np.float64]
+    held_s: float
+
+
+def propagate(
+    state: NavState, imu: ImuBatch, end_ns: int, *, noise: ImuNoise, config: ImuConfig
+) -> tuple[NavState, ImuPath]:
+    """Carry ``state`` to ``end_ns`` on the IMU's samples and grow its covariance.
+
+    Samples are interpolated linearly and integrated with the midpoint rule in steps of at most ``config.max_step``. The
+    error made by interpolating is unknown but bounded by how much the signal changes from one sample to the next: a
+    share ``config.curvature`` of that change is added to the white noise, so that a slow IMU is trusted less. Outside
+    the samples, and across gaps, the nearest or interpolated values stand in with the noise of ``held_*``.
+
+    Parameters
+    ----------
+    state : NavState
+        At or before ``end_ns``.
+    imu : ImuBatch
+        Samples around the interval; at least one, ideally one before it and one after it.
+    end_ns : int
+        Where to stop [ns].
+    noise : ImuNoise
+        White noise and random walk of this IMU.
+    config : ImuConfig
+        Steps, gaps, held noise.
+
+    Raises
+    ------
+    DataError
+        No sample at all, or ``end_ns`` before the state.
+    """
+    if len(imu) == 0:
+        raise DataError("no IMU sample to propagate with; without an IMU use the constant-velocity model")
+    if end_ns < state.stamp_ns:
+        raise DataError(f"cannot propagate backwards by {(state.stamp_ns - end_ns) * 1e-9:.3f} s")
+    magnitude = float(np.linalg.norm(state.g_odom))
+    g_basis = magnitude * s2.basis(state.g_odom / magnitude) if magnitude > 0.0 else np.zeros((3, 2))
+    vectors = np.stack([state.p_odom, state.v_odom, state.gyro_bias, state.accel_bias, state.g_odom])
+    model = np.array(
+        [
+            noise.gyro**2,
+            noise.accel**2,
+            noise.gyro_walk**2,
+            noise.accel_walk**2,
+            config.held_gyro_noise**2,
+            config.held_accel_noise**2,
+            config.curvature,
+            config.max_step,
+            1e9 * config.max_gap,
+        ]
+    )
+    stamps, R, p, v, transition, added, held_s = _core.propagate(
+        imu.stamps_ns,
+        imu.gyro,
+        imu.accel,
+        state.stamp_ns,
+        end_ns,
+        np.ascontiguousarray(state.R_odom_imu),
+        vectors,
+        np.ascontiguousarray(g_basis),
+        model,
+    )
+    covariance = state.covariance.copy()
+    nav = slice(0, NAV_DIM)
+    covariance[nav] = transition @ covariance[nav]
+    covariance[:, nav] = covariance[:, nav] @ transition.T
+    covariance[nav, nav] += added
+    covariance = 0.5 * (covariance + covariance.T)
+    moved = replace(
+        state,
+        stamp_ns=int(end_ns),
+        R_odom_imu=R[-1].copy(),
+        p_odom=p[-1].copy(),
+        v_odom=v[-1].copy(),
+        covariance=covariance,
+    )
+    return moved, ImuPath(stamps_ns=stamps, R_odom_imu=R, p_odom=p, v_odom=v, held_s=held_s)

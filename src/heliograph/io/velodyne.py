@@ -1,0 +1,104 @@
+"""Velodyne packets to points, through ``velodyne-decoder``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.errors import FormatError, MissingDependencyError
+from heliograph.io.raw import RawCloud, RawMessage
+
+__all__ = ["PACKET_SIZE", "VelodyneDecoder", "velodyne_decoder"]
+
+PACKET_SIZE = 1206
+LIDAR_FRAME = "velodyne"
+_NS = 1_000_000_000
+
+
+def velodyne_decoder() -> Any:  # noqa: ANN401 - an optional package without types
+    """Return the module ``velodyne_decoder``, or raise `MissingDependencyError` with the install command."""
+    try:
+        import velodyne_decoder as module
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"Velodyne packets need velodyne-decoder: pip install 'heliograph[velodyne]' ({error})"
+        ) from error
+    return module
+
+
+class VelodyneDecoder:
+    """Collects one sensor's packets into sweeps.
+
+    Parameters
+    ----------
+    topic : str
+        Topic to give the clouds.
+    frame_id : str
+        Frame to give them.
+    device_clock : bool
+        Stamp by the sensor's own clock (seconds since the full hour, on the host's hour) instead of the time at which
+        packets were received: free of jitter, but shifted against other sensors if no GPS sets it.
+    calibration_from : Path or None
+        A pcap file that may hold the calibration of an HDL-64E.
+
+    Notes
+    -----
+    Sweeps are stamped at their first packet, from which the ``time`` column counts [s]. (The ROS driver stamps the last
+    one by default, but then a sweep that the capture cuts short comes too early.)
+    """
+
+    def __init__(
+        self, topic: str, frame_id: str = LIDAR_FRAME, device_clock: bool = False, calibration_from: Path | None = None
+    ) -> None:
+        module = velodyne_decoder()
+        config = module.Config(timestamp_first_packet=True)
+        if calibration_from is not None:
+            try:
+                config.model, config.calibration = module.hdl64e.detect_hdl64e(calibration_from)
+            except ValueError as error:
+                raise FormatError(calibration_from, f"is of an HDL-64E of unknown calibration: {error}") from error
+        self._stream = module.StreamDecoder(config)
+        self._topic, self._frame_id, self._device_clock = topic, frame_id, device_clock
+        self._received_ns = 0
+
+    def feed(self, data: memoryview | bytes, received_ns: int, stamp_ns: int | None = None) -> list[RawMessage]:
+        """Take one datagram and return the sweep that it completes; one that holds no points gives nothing.
+
+        Parameters
+        ----------
+        data : bytes
+            1206 bytes; another size (telemetry) is ignored.
+        received_ns : int
+            When the recorder got it [ns].
+        stamp_ns : int or None
+            The driver's stamp of the packet, where it differs.
+        """
+        if len(data) != PACKET_SIZE:
+            return []
+        self._received_ns = received_ns
+        stamp = (received_ns if stamp_ns is None else stamp_ns) / _NS
+        return self._clouds(self._stream.decode(stamp, bytes(data), True))
+
+    def finish(self) -> list[RawMessage]:
+        """Return the sweep collected so far."""
+        return self._clouds(self._stream.finish(True))
+
+    def _clouds(self, result: tuple[Any, Any] | None) -> list[RawMessage]:
+        if result is None or len(result[1]) == 0:
+            return []
+        times, points = result
+        columns: dict[str, NDArray[np.generic]] = {name: points[name] for name in ("x", "y", "z", "intensity", "time")}
+        columns["ring"] = points["ring"].astype(np.uint16)
+        return [
+            RawCloud(
+                topic=self._topic,
+                received_ns=self._received_ns,
+                stamp_ns=round((times.device if self._device_clock else times.host) * _NS),
+                frame_id=self._frame_id,
+                columns=columns,
+                layout="velodyne-packets",
+            )
+        ]

@@ -1,0 +1,54 @@
+"""What a local map must do; `heliograph.testing.assert_local_map` is its law."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LocalMap", "PlaneMatches"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaneMatches:
+    """One plane a query.
+
+    Parameters
+    ----------
+    normal : (N, 3) float32
+        Unit normals, odom frame; any where ``source`` is 0.
+    point : (N, 3) float64
+        A point of each plane, odom frame [m].
+    variance : (N,) float32
+        Of the plane across itself at the query [m^2].
+    source : (N,) uint8
+        0 no plane, 255 a plane through nearest neighbours, else 1 + the map's level.
+    """
+
+    normal: NDArray[np.float32]
+    point: NDArray[np.float64]
+    variance: NDArray[np.float32]
+    source: NDArray[np.uint8]
+
+
+@runtime_checkable
+class LocalMap(Protocol):
+    """The part of the world around the sensor that scans are matched against. It changes only by its verbs."""
+
+    def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> None:
+        """Add points (N, 3) of the body frame seen from the pose (4, 4)."""
+        ...
+
+    def prune(self, centre_odom: NDArray[np.float64]) -> None:
+        """Forget what lies farther from ``centre_odom`` (3,) than the map's bound, and what exceeds its count."""
+        ...
+
+    def planes_at(self, points_odom: NDArray[np.float64], *, gate: float) -> PlaneMatches:
+        """Return for each point (N, 3) the plane near it, if one lies within ``gate`` [m]."""
+        ...
+
+    def __len__(self) -> int:
+        """Return the number of stored elements; 0 when nothing can be matched."""
+        ...

@@ -1,0 +1,67 @@
+"""Hashed voxels on several levels, each with running moments and a plane: the default local map."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph import _core
+from heliograph.config import MapConfig
+from heliograph.maps.protocol import PlaneMatches
+
+__all__ = ["VoxelMap"]
+
+
+class VoxelMap:
+    """A `LocalMap` of planes in cubes whose edge doubles from level to level.
+
+    Each cube keeps count, sum and outer products of its points; a plane is fitted when they are thin and wide enough
+    (probabilistic voxel planes: C. Yuan et al., "Efficient and probabilistic adaptive voxel mapping", RA-L 2022). A
+    query takes the finest plane of the cubes that hold it, so its cost does not depend on the map's size. A cube with
+    ``max_points`` is frozen: later visits are matched to what was seen first, and do not smear it. Where no plane is
+    known, a plane through the five nearest of a few stored points stands in.
+
+    Parameters
+    ----------
+    config : MapConfig
+    """
+
+    def __init__(self, config: MapConfig | None = None) -> None:
+        self.config = config if config is not None else MapConfig()
+        c = self.config
+        self.native = _core.VoxelMap(
+            c.voxel, c.levels, c.min_points, c.max_points, c.max_thickness, c.min_spread, c.point_spacing
+        )
+
+    def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> None:
+        """Add points (N, 3) of the body frame seen from the pose (4, 4)."""
+        self.native.insert(np.ascontiguousarray(points_body), np.ascontiguousarray(T_odom_body))
+
+    def prune(self, centre_odom: NDArray[np.float64]) -> None:
+        """Forget cubes beyond ``config.radius`` of ``centre_odom`` (3,), and the farthest beyond ``config.max_voxels``."""
+        self.native.prune(np.ascontiguousarray(centre_odom), self.config.radius, self.config.max_voxels)
+
+    def planes_at(self, points_odom: NDArray[np.float64], *, gate: float) -> PlaneMatches:
+        """Return for each point (N, 3) the finest plane whose cube holds it, else one through its neighbours."""
+        normal, point, variance, source = _core.query_planes(
+            self.native, np.ascontiguousarray(points_odom), gate, 1, self.config.fallback_range
+        )
+        return PlaneMatches(normal=normal, point=point, variance=variance, source=source)
+
+    def table(self) -> NDArray[np.float64]:
+        """Return one row a cube: level, count, centre 3, normal 3, centroid 3, variance (< 0: no plane), 1 / spread."""
+        return np.asarray(self.native.planes())
+
+    @property
+    def nbytes(self) -> int:
+        """Memory held [bytes]."""
+        return int(self.native.bytes())
+
+    def __len__(self) -> int:
+        return len(self.native)
+
+    def __repr__(self) -> str:
+        info: dict[str, Any] = {"cubes": len(self), "voxel": self.config.voxel, "levels": self.config.levels}
+        return f"VoxelMap({', '.join(f'{k}={v}' for k, v in info.items())})"

@@ -1,0 +1,114 @@
+"""One scan against the map: thinning, a kernel that narrows as the pose settles, and the iterated update."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.cloud import voxel_downsample
+from heliograph.config import CloudConfig, FilterConfig
+from heliograph.data import NavState
+from heliograph.maps import LocalMap
+from heliograph.odometry.update import UpdateResult, iterated_update
+from heliograph.registration import MatchSettings, NormalEquations, linearize
+
+__all__ = ["AdaptiveNoise", "Thinning", "register"]
+
+# A prediction's rotation error moves points by its sine times their distance; this distance stands for the cloud.
+_TYPICAL_RANGE = 15.0
+
+
+class Thinning:
+    """Picks about ``target_points`` of a scan, spread evenly; the cube's edge follows from scan to scan.
+
+    On surfaces the number of cubes falls with the square of their edge, so one step of the square root comes close.
+    """
+
+    def __init__(self, config: CloudConfig) -> None:
+        self._config = config
+        self._leaf = float(np.clip(0.4, config.min_leaf, config.max_leaf))
+
+    def pick(self, points: NDArray[np.float32]) -> NDArray[np.int32]:
+        """Return the indices of the points picked, (M,) int32."""
+        picked = voxel_downsample(points, self._leaf)
+        if len(picked) > 0:
+            ratio = len(picked) / self._config.target_points
+            # Dead zone: an edge that never settles would make two equal scans differ.
+            if not 0.9 < ratio < 1.1:
+                leaf = self._leaf * float(np.clip(np.sqrt(ratio), 0.5, 2.0))
+                self._leaf = float(np.clip(leaf, self._config.min_leaf, self._config.max_leaf))
+        return picked
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptiveNoise:
+    """Range noise across planes, as the residuals of past scans show it."""
+
+    sigma: float
+
+    def updated(self, rms: float, config: FilterConfig) -> AdaptiveNoise:
+        """Return the estimate after one more scan with the robust RMS ``rms`` [m]."""
+        if not np.isfinite(rms):
+            return self
+        sigma = float(np.clip(0.9 * self.sigma + 0.1 * rms, config.min_sigma, config.max_sigma))
+        return AdaptiveNoise(sigma)
+
+
+def _opening(prior: NavState, sigma: float, config: FilterConfig) -> float:
+    """Kernel scale of the first iteration: wide enough for what the prediction does not know [m]."""
+    position = float(np.linalg.eigvalsh(prior.covariance[3:6, 3:6])[-1])
+    rotation = float(np.linalg.eigvalsh(prior.covariance[0:3, 0:3])[-1])
+    unknown = np.sqrt(max(position, 0.0) + _TYPICAL_RANGE**2 * max(rotation, 0.0))
+    return float(np.clip(2.0 * unknown, config.kernel * sigma, config.max_kernel))
+
+
+def register(
+    prior: NavState,
+    local_map: LocalMap,
+    points_imu: NDArray[np.float32],
+    *,
+    noise: AdaptiveNoise,
+    config: FilterConfig,
+    threads: int,
+) -> UpdateResult[NormalEquations]:
+    """Update ``prior`` with de-skewed points (N, 3) float32 of the imu frame at its stamp.
+
+    The kernel halves from iteration to iteration down to ``config.kernel`` sigmas (graduated non-convexity in its
+    simplest form), so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
+    """
+    final = config.kernel * noise.sigma
+    start = _opening(prior, noise.sigma, config)
+
+    def kernel(iteration: int) -> float:
+        return max(final, start * 0.5**iteration)
+
+    def measure(state: NavState, iteration: int) -> NormalEquations:
+        scale = kernel(iteration)
+        settings = MatchSettings(
+            gate=config.gate * scale,
+            kernel=scale,
+            sigma=noise.sigma,
+            fallback_stride=config.fallback_stride,
+            residual=config.residual,
+            mounting=len(prior.covariance) > 17,
+            threads=threads,
+        )
+        equations = linearize(local_map, points_imu, state.T_odom_imu, state.T_imu_lidar, settings)
+        share = 1.0 / config.correlation
+        return replace(
+            equations,
+            information=share * equations.information,
+            gradient=share * equations.gradient,
+            weight=share * equations.weight,
+        )
+
+    return iterated_update(
+        prior,
+        measure,
+        max_iterations=config.max_iterations,
+        tolerance_rotation=config.tolerance_rotation,
+        tolerance_position=config.tolerance_position,
+        settled=lambda iteration: kernel(iteration) <= final,
+    )

@@ -1,0 +1,62 @@
+"""The motion between two scans: the IMU's, or a constant velocity where there is none; and the path that both make."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from heliograph.config import FilterConfig, ImuConfig
+from heliograph.data import ImuBatch, ImuNoise, NavState
+from heliograph.imu import ImuPath, propagate
+from heliograph.lie import so3
+
+__all__ = ["MotionModel", "corrected_path"]
+
+
+class MotionModel:
+    """Predicts states from inertial samples, or from a constant velocity.
+
+    The constant-velocity model is the same filter with an imaginary IMU that always reads zero in a world without
+    gravity: its "gyroscope bias" is minus the body rate, and white noise on its "accelerometer" and the random walk of
+    its "bias" let velocity and rate change.
+
+    Parameters
+    ----------
+    imu, filter : ImuConfig, FilterConfig
+    noise : ImuNoise or None
+        Of the IMU; None selects the constant-velocity model.
+    """
+
+    def __init__(self, imu: ImuConfig, filter_config: FilterConfig, noise: ImuNoise | None) -> None:
+        self.inertial = noise is not None
+        self._config = imu
+        self._noise = noise or ImuNoise(
+            gyro=1e-4,
+            accel=filter_config.constant_velocity_accel,
+            gyro_walk=filter_config.constant_velocity_gyro,
+            accel_walk=0.0,
+        )
+
+    def predict(self, state: NavState, imu: ImuBatch, end_ns: int) -> tuple[NavState, ImuPath]:
+        """Carry ``state`` to ``end_ns``; ``imu`` is not looked at by the constant-velocity model."""
+        if not self.inertial:
+            stamps = np.array([state.stamp_ns, max(end_ns, state.stamp_ns + 1)], dtype=np.int64)
+            imu = ImuBatch(stamps_ns=stamps, gyro=np.zeros((2, 3)), accel=np.zeros((2, 3)), received_ns=0)
+        return propagate(state, imu, end_ns, noise=self._noise, config=self._config)
+
+
+def corrected_path(path: ImuPath, posterior: NavState) -> ImuPath:
+    """Bend a predicted path so that it ends in the posterior.
+
+    It starts where the last update left it, so the correction grows linearly from nothing there to all of it at the end.
+    """
+    span = float(path.stamps_ns[-1] - path.stamps_ns[0])
+    share = (path.stamps_ns - path.stamps_ns[0]) / span if span > 0.0 else np.ones(len(path.stamps_ns))
+    turn = so3.log(path.R_odom_imu[-1].T @ posterior.R_odom_imu)
+    return replace(
+        path,
+        R_odom_imu=path.R_odom_imu @ so3.exp(share[:, None] * turn),
+        p_odom=path.p_odom + share[:, None] * (posterior.p_odom - path.p_odom[-1]),
+        v_odom=path.v_odom + share[:, None] * (posterior.v_odom - path.v_odom[-1]),
+    )

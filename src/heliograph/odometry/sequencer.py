@@ -1,0 +1,155 @@
+"""Pairs each scan with the inertial samples of its time, as soon as they are there and never later than needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.data import Event, GnssFix, ImuBatch, Scan
+
+__all__ = ["ImuBuffer", "Packet", "Sequencer"]
+
+PATIENCE_NS = 50_000_000
+"""Besides one IMU period, how far messages may run past a scan's end before it is processed without more samples."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Packet:
+    """One scan, or None for an instant of pure dead reckoning, that is ready to be processed up to ``end_ns``."""
+
+    scan: Scan | None
+    end_ns: int
+
+
+class ImuBuffer:
+    """The recent inertial samples, as one growing and forgetting array."""
+
+    def __init__(self) -> None:
+        self._stamps: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._gyro: NDArray[np.float64] = np.zeros((0, 3))
+        self._accel: NDArray[np.float64] = np.zeros((0, 3))
+        self._pending: list[ImuBatch] = []
+        self.last_ns: int | None = None
+        self.period_ns = 10_000_000
+
+    def __len__(self) -> int:
+        return len(self._stamps) + sum(len(batch) for batch in self._pending)
+
+    def append(self, batch: ImuBatch) -> None:
+        """Add samples that follow the ones held."""
+        if len(batch) == 0:
+            return
+        if self.last_ns is not None:
+            self.period_ns = max(1, (int(batch.stamps_ns[-1]) - self.last_ns) // len(batch))
+        self._pending.append(batch)
+        self.last_ns = int(batch.stamps_ns[-1])
+
+    def _merge(self) -> None:
+        if self._pending:
+            self._stamps = np.concatenate([self._stamps, *[batch.stamps_ns for batch in self._pending]])
+            self._gyro = np.concatenate([self._gyro, *[batch.gyro for batch in self._pending]])
+            self._accel = np.concatenate([self._accel, *[batch.accel for batch in self._pending]])
+            self._pending = []
+
+    def between(self, start_ns: int, end_ns: int) -> ImuBatch:
+        """Return the samples inside the interval with one more on either side, where there is one."""
+        self._merge()
+        first = max(int(np.searchsorted(self._stamps, start_ns, side="right")) - 1, 0)
+        last = int(np.searchsorted(self._stamps, end_ns, side="left")) + 1
+        return self._slice(first, last)
+
+    def everything(self) -> ImuBatch:
+        """Return all samples held."""
+        self._merge()
+        return self._slice(0, len(self._stamps))
+
+    def forget_before(self, stamp_ns: int) -> None:
+        """Drop the samples that no interval from ``stamp_ns`` on needs."""
+        self._merge()
+        first = max(int(np.searchsorted(self._stamps, stamp_ns, side="right")) - 1, 0)
+        self._stamps, self._gyro, self._accel = self._stamps[first:], self._gyro[first:], self._accel[first:]
+
+    def _slice(self, first: int, last: int) -> ImuBatch:
+        return ImuBatch(
+            stamps_ns=self._stamps[first:last],
+            gyro=self._gyro[first:last],
+            accel=self._accel[first:last],
+            received_ns=0,
+        )
+
+
+class Sequencer:
+    """Orders messages into packets.
+
+    A scan is ready once an IMU sample at or after its end has come, or messages have run one IMU period and 50 ms past
+    it, or the stream has ended. Without an IMU it is ready at once; without a LiDAR packets are cut every ``interval_ns``.
+
+    Parameters
+    ----------
+    sensors : frozenset of str
+        Which of ``"lidar"`` and ``"imu"`` are used; messages of others are ignored.
+    interval_ns : int
+        Length of packets without a LiDAR [ns].
+    """
+
+    def __init__(self, sensors: frozenset[str], interval_ns: int = 100_000_000) -> None:
+        self.imu = ImuBuffer()
+        self.events: list[Event] = []
+        self._sensors = sensors
+        self._interval_ns = interval_ns
+        self._waiting: list[Scan] = []
+        self._last_end_ns: int | None = None
+
+    def add(self, message: Scan | ImuBatch | GnssFix) -> list[Packet]:
+        """Take a message and return the packets that it made ready."""
+        if isinstance(message, ImuBatch) and "imu" in self._sensors:
+            self.imu.append(message)
+            if "lidar" not in self._sensors:
+                return self._cut_intervals()
+        elif isinstance(message, Scan) and "lidar" in self._sensors:
+            self._accept(message)
+        return self._release(message.received_ns)
+
+    def finish(self) -> list[Packet]:
+        """Return the packets still waiting."""
+        packets = [Packet(scan=scan, end_ns=scan.end_ns) for scan in self._waiting]
+        self._waiting = []
+        return packets
+
+    def _accept(self, scan: Scan) -> None:
+        if self._last_end_ns is not None and scan.end_ns <= self._last_end_ns:
+            late = (self._last_end_ns - scan.end_ns) * 1e-9
+            text = f"a scan ends {late:.3f} s before the previous one; it was left out, check the LiDAR's clock"
+            self.events.append(Event(code="scan-rewind", message=text, stamp_ns=scan.stamp_ns))
+            return
+        self._last_end_ns = scan.end_ns
+        self._waiting.append(scan)
+
+    def _release(self, now_ns: int) -> list[Packet]:
+        packets: list[Packet] = []
+        while self._waiting and self._ready(self._waiting[0], now_ns):
+            scan = self._waiting.pop(0)
+            packets.append(Packet(scan=scan, end_ns=scan.end_ns))
+        return packets
+
+    def _ready(self, scan: Scan, now_ns: int) -> bool:
+        if "imu" not in self._sensors:
+            return True
+        if self.imu.last_ns is not None and self.imu.last_ns >= scan.end_ns:
+            return True
+        # The recorder's clock may differ from the sensor's: patience counts from whichever is later.
+        return now_ns > max(scan.end_ns, scan.received_ns) + self.imu.period_ns + PATIENCE_NS
+
+    def _cut_intervals(self) -> list[Packet]:
+        packets: list[Packet] = []
+        last = self.imu.last_ns
+        if last is None:
+            return packets
+        if self._last_end_ns is None:
+            self._last_end_ns = int(self.imu.everything().stamps_ns[0])
+        while self._last_end_ns + self._interval_ns <= last:
+            self._last_end_ns += self._interval_ns
+            packets.append(Packet(scan=None, end_ns=self._last_end_ns))
+        return packets

@@ -1,0 +1,118 @@
+"""The iterated Kalman update in the form whose cost grows with the state, not with the measurements.
+
+With H the stacked Jacobian, R the measurement noise and P the prior around the current iterate, the textbook gain is
+``P H^T (H P H^T + R)^-1``, an inverse as large as the number of points. The matrix inversion lemma turns it into
+``(I + P A)^-1 P H^T R^-1`` with the information ``A = H^T R^-1 H`` of the size of the state (W. Xu, F. Zhang, "FAST-LIO",
+RA-L 2021, eq. 20). Written so, P may be singular: a state known exactly stays so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.data import NavState
+from heliograph.odometry.error_state import NAV_DIM, local, reset_jacobian, retract
+
+__all__ = ["Linearization", "UpdateResult", "iterated_update"]
+
+Array = NDArray[np.float64]
+
+
+class Linearization(Protocol):
+    """What a measurement says about the first six errors, or those and the mounting's."""
+
+    @property
+    def information(self) -> Array:
+        """``H^T R^-1 H`` over the columns concerned, (6, 6) or (12, 12)."""
+        ...
+
+    @property
+    def gradient(self) -> Array:
+        """``H^T R^-1 r``, (6,) or (12,)."""
+        ...
+
+
+L = TypeVar("L", bound=Linearization)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UpdateResult(Generic[L]):
+    """The posterior, the measurement as linearised last, and whether the iteration settled."""
+
+    state: NavState
+    linearization: L
+    iterations: int
+    converged: bool
+    nis: float
+    """Squared correction of pose in units of its predicted uncertainty; about 6 on average when that is honest."""
+
+
+def _embed(measurement: Linearization, dim: int) -> tuple[Array, Array]:
+    """Spread the measurement over the whole error state."""
+    n = len(measurement.gradient)
+    columns = np.arange(6) if n == 6 else np.concatenate([np.arange(6), np.arange(NAV_DIM, NAV_DIM + 6)])
+    A, b = np.zeros((dim, dim)), np.zeros(dim)
+    A[np.ix_(columns, columns)] = measurement.information
+    b[columns] = measurement.gradient
+    return A, b
+
+
+def iterated_update(
+    prior: NavState,
+    linearize: Callable[[NavState, int], L],
+    *,
+    max_iterations: int,
+    tolerance_rotation: float,
+    tolerance_position: float,
+    settled: Callable[[int], bool] = lambda _: True,
+) -> UpdateResult[L]:
+    """Find the state that fits prior and measurement best, by Gauss-Newton, and its covariance.
+
+    Parameters
+    ----------
+    prior : NavState
+    linearize : callable
+        ``(state, iteration) -> Linearization`` of the measurement at that state; its gradient is of the residual there.
+    max_iterations : int
+    tolerance_rotation, tolerance_position : float
+        Converged when a step is smaller [rad], [m] ...
+    settled : callable
+        ... and ``settled(iteration)`` says that the measurement's own settings have reached their final values.
+    """
+    state, dim = prior, len(prior.covariance)
+    identity = np.eye(dim)
+    converged = False
+    for iteration in range(max_iterations):
+        measurement = linearize(state, iteration)
+        A, b = _embed(measurement, dim)
+        # The prior seen from the iterate: its mean lies at -offset, its covariance is carried over by the reset Jacobian.
+        offset = local(prior, state)
+        J = reset_jacobian(prior, offset)
+        P = J @ prior.covariance @ J.T
+        gain_form = np.linalg.inv(identity + P @ A)
+        step = -gain_form @ (P @ b + J @ offset)
+        before, state = state, retract(state, step)
+        small = (
+            float(np.linalg.norm(step[0:3])) < tolerance_rotation
+            and float(np.linalg.norm(step[3:6])) < tolerance_position
+        )
+        if small and settled(iteration):
+            converged = True
+            break
+    J_step = reset_jacobian(before, step)
+    covariance = J_step @ gain_form @ P @ J_step.T
+    total = local(prior, state)[:6]
+    moved = prior.covariance[:6, :6] - covariance[:6, :6]
+    nis = float(total @ np.linalg.pinv(moved, rcond=1e-9, hermitian=True) @ total)
+    return UpdateResult(
+        state=replace(state, covariance=0.5 * (covariance + covariance.T)),
+        linearization=measurement,
+        iterations=iteration + 1,
+        converged=converged,
+        nis=nis,
+    )

@@ -1,0 +1,122 @@
+"""What ``run.json`` says."""
+
+from __future__ import annotations
+
+import math
+import platform
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliograph.output.record import RunRecord
+
+__all__ = ["final_facts", "peak_memory_mb", "versions"]
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that the result depends on."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    def installed(package: str) -> str:
+        try:
+            return version(package)
+        except PackageNotFoundError:
+            return "not installed"
+
+    return {
+        "heliograph": installed("heliograph"),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "rosbags": installed("rosbags"),
+        "platform": platform.platform(),
+    }
+
+
+def peak_memory_mb() -> float | None:
+    """Return this process's peak resident memory [MB], or None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak / (1e6 if sys.platform == "darwin" else 1e3), 1)
+
+
+def final_facts(
+    facts: Mapping[str, Any],
+    record: RunRecord,
+    files: Sequence[Path],
+    writer_seconds: Mapping[str, float],
+    failures: Sequence[Exception],
+) -> dict[str, Any]:
+    """Return the account of a finished run, of JSON's own types only (NaN becomes null).
+
+    Parameters
+    ----------
+    facts : mapping
+        What was known before the run.
+    record : RunRecord
+        The run.
+    files : sequence of Path
+        Files written.
+    writer_seconds : mapping
+        Writer -> seconds.
+    failures : sequence of Exception
+        Writers' failures.
+    """
+    summary = record.summary
+    writing = sum(writer_seconds.values())
+    wall = summary.wall_seconds + writing - summary.seconds.get("writing", 0.0)
+    timings = {
+        **{f"{name}_s": value for name, value in summary.seconds.items()},
+        "writing_s": writing,
+        "wall_s": wall,
+        "wall_ms_per_scan": 1e3 * wall / summary.scans,
+        "odometry_ms_per_scan": dict(summary.stage_ms),
+        "writers_ms_per_scan": {name: 1e3 * value / summary.scans for name, value in writer_seconds.items()},
+    }
+    account = {
+        "status": summary.status,
+        "reasons": list(summary.reasons),
+        "interrupted": summary.interrupted,
+        "failure": summary.failure or "; ".join(str(failure) for failure in failures),
+        "sensors": list(summary.sensors),
+        "scans": summary.scans,
+        "scan_verdicts": dict(summary.statuses),
+        "distance_m": summary.distance,
+        "duration_s": summary.duration,
+        "start_end_gap_m": summary.start_end_gap,
+        "weakest": {
+            "scan": summary.weakest_index,
+            "eigenvalue": summary.weakest_eigenvalue,
+            "direction_map": summary.weakest_direction.tolist(),
+        },
+        "warnings": [asdict(event) for event in summary.events],
+        "timings": timings,
+        "peak_memory_mb": peak_memory_mb(),
+        "map_points": len(record.points_map),
+        "T_map_odom": summary.T_map_odom.tolist(),
+        **facts,
+        "folder": str(record.folder),
+        "files": [path.name for path in files],
+    }
+    return {key: plain(value) for key, value in account.items()}
+
+
+def plain(value: Any) -> Any:  # noqa: ANN401 - any value in, JSON's types out
+    """Return ``value`` in JSON's own types: arrays as lists, paths as text, NaN and infinity as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (list, tuple, set, frozenset)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, (str, int, bool)) else str(value)

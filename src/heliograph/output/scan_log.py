@@ -1,0 +1,204 @@
+"""One row a scan: kept small in memory for the report, written to ``scans.csv`` as it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.data import ScanResult
+from heliograph.io.csvs import CsvWriter
+
+__all__ = ["ScanLog", "ScanTable"]
+
+_XYZ = ("x", "y", "z")
+_ASCENDING = ("min", "mid", "max")
+
+
+def _triple(name: str, suffixes: Sequence[str] = _XYZ) -> tuple[str, ...]:
+    return tuple(f"{name}_{suffix}" for suffix in suffixes)
+
+
+INTEGERS = (
+    "index",
+    "stamp_ns",
+    "header_stamp_ns",
+    "end_ns",
+    "points",
+    "queries",
+    "matches",
+    "fallback_matches",
+    "iterations",
+)
+FLOATS = (
+    "rms",
+    "nis",
+    *_triple("eigenvalue_rotation", _ASCENDING),
+    *_triple("eigenvalue_translation", _ASCENDING),
+    *_triple("weak_direction"),
+    *_triple("gyro_bias"),
+    *_triple("accel_bias"),
+    *_triple("velocity"),
+    *_triple("sigma_rotation"),
+    *_triple("sigma_position"),
+    *_triple("sigma_gyro_bias"),
+    *_triple("sigma_accel_bias"),
+    *_triple("position"),
+)
+# Columns that are vectors in the odom frame and turn with it when gravity is re-estimated at the end.
+ODOM_VECTORS = ("weak_direction", "velocity", "position")
+
+
+class ScanTable:
+    """The scans of a run as named columns.
+
+    Parameters
+    ----------
+    integers : (N, 9) int64
+        Columns `INTEGERS`.
+    floats : (N, 32) float64
+        Columns `FLOATS`, in map-frame axes where they are vectors.
+    statuses : list of str
+        Verdict a scan.
+    stages : mapping
+        Stage -> (N,) float64 milliseconds, zero where a scan did not pass it.
+    """
+
+    def __init__(
+        self,
+        integers: NDArray[np.int64],
+        floats: NDArray[np.float64],
+        statuses: list[str],
+        stages: dict[str, NDArray[np.float64]],
+    ) -> None:
+        self._integers, self._floats = integers, floats
+        self.statuses, self.stages = statuses, stages
+
+    def __len__(self) -> int:
+        return len(self._integers)
+
+    def __getitem__(self, name: str) -> NDArray[np.float64] | NDArray[np.int64]:
+        if name in INTEGERS:
+            return self._integers[:, INTEGERS.index(name)]
+        return self._floats[:, FLOATS.index(name)]
+
+    def triple(self, name: str) -> NDArray[np.float64]:
+        """Return the (N, 3) columns of a vector such as ``"gyro_bias"`` or ``"eigenvalue_rotation"``."""
+        first = next(i for i, column in enumerate(FLOATS) if column.rpartition("_")[0] == name)
+        return self._floats[:, first : first + 3]
+
+    @property
+    def seconds(self) -> NDArray[np.float64]:
+        """Time of each scan's end since the first one's [s]."""
+        ends = self._integers[:, INTEGERS.index("end_ns")]
+        return (ends - ends[0]) * 1e-9 if len(ends) else np.zeros(0)
+
+
+class ScanLog:
+    """Writes ``scans.csv`` row by row and remembers the rows (about 0.5 KB a scan).
+
+    Parameters
+    ----------
+    path : Path
+        The CSV file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._integers: list[tuple[int, ...]] = []
+        self._floats: list[NDArray[np.float64]] = []
+        self._statuses: list[str] = []
+        self._timings: list[dict[str, float]] = []
+        self._position_covariances: list[NDArray[np.float64]] = []
+        self._writer: CsvWriter | None = None
+        self._stages: tuple[str, ...] = ()
+
+    def add(self, result: ScanResult) -> None:
+        """Append one scan's row."""
+        integers = (
+            *(result.index, result.stamp_ns, result.header_stamp_ns, result.end_ns, len(result.points_imu)),
+            *(result.queries, result.matches, result.fallback_matches, result.iterations),
+        )
+        floats = np.concatenate([
+            (result.rms, result.nis),
+            result.eigenvalues_rotation, result.eigenvalues_translation, result.weak_direction,
+            result.gyro_bias, result.accel_bias, result.v_odom, sigmas(result.covariance), result.T_odom_imu[:3, 3],
+        ])  # fmt: skip
+        self._integers.append(integers)
+        self._floats.append(floats)
+        self._statuses.append(result.status)
+        self._timings.append(dict(result.timings))
+        self._position_covariances.append(result.covariance[3:6, 3:6].copy())
+        if self._writer is None:
+            self._stages = tuple(result.timings)
+            self._writer = CsvWriter(self.path, self._columns())
+        self._writer.append(self._row(integers, floats, len(self._integers) - 1))
+
+    def flush(self) -> None:
+        """Hand the rows so far to the operating system."""
+        if self._writer is not None:
+            self._writer.flush()
+
+    def release(self) -> None:
+        """Flush and close the file as it is."""
+        if self._writer is not None:
+            self._writer.close()
+
+    def close(self, R_map_odom: NDArray[np.float64]) -> ScanTable:
+        """Finish the file and return the table, both in map-frame axes.
+
+        Rewrites the file where the map frame turned out tilted against odom, or where a later scan named a stage that
+        the first row did not have.
+        """
+        self.release()
+        floats = np.array(self._floats).reshape(-1, len(FLOATS))
+        stages = tuple(dict.fromkeys(stage for timings in self._timings for stage in timings))
+        turned = not np.array_equal(R_map_odom, np.eye(3))
+        if turned:
+            floats = self._turned(floats, R_map_odom)
+        if self._writer is not None and (turned or stages != self._stages):
+            self._stages = stages
+            self._rewrite(floats)
+        return ScanTable(
+            np.array(self._integers, dtype=np.int64).reshape(-1, len(INTEGERS)),
+            floats,
+            list(self._statuses),
+            {stage: np.array([timings.get(stage, 0.0) for timings in self._timings]) for stage in stages},
+        )
+
+    def _columns(self) -> tuple[str, ...]:
+        return (*INTEGERS, "verdict", *FLOATS, "ms_total", *(f"ms_{stage}" for stage in self._stages))
+
+    def _row(self, integers: tuple[int, ...], floats: NDArray[np.float64], number: int) -> list[int | float | str]:
+        timings = self._timings[number]
+        stages = [round(timings.get(stage, 0.0), 4) for stage in self._stages]
+        return [*integers, self._statuses[number], *_shortened(floats), round(sum(timings.values()), 4), *stages]
+
+    def _turned(self, floats: NDArray[np.float64], R_map_odom: NDArray[np.float64]) -> NDArray[np.float64]:
+        floats = floats.copy()
+        for name in ODOM_VECTORS:
+            first = FLOATS.index(f"{name}_x")
+            floats[:, first : first + 3] = floats[:, first : first + 3] @ R_map_odom.T
+        covariances = R_map_odom @ np.array(self._position_covariances).reshape(-1, 3, 3) @ R_map_odom.T
+        first = FLOATS.index("sigma_position_x")
+        floats[:, first : first + 3] = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+        return floats
+
+    def _rewrite(self, floats: NDArray[np.float64]) -> None:
+        with CsvWriter(self.path, self._columns()) as writer:
+            for number, (integers, row) in enumerate(zip(self._integers, floats, strict=True)):
+                writer.append(self._row(integers, row, number))
+
+
+def sigmas(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (12,) sigmas of rotation (body axes), position (odom axes), gyro bias and accelerometer bias."""
+    diagonal = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    rotation, position, gyro_bias, accel_bias = diagonal[:3], diagonal[3:6], diagonal[9:12], diagonal[12:15]
+    return np.concatenate([rotation, position, gyro_bias, accel_bias])
+
+
+def _shortened(floats: NDArray[np.float64]) -> list[float]:
+    """Round to seven significant digits: what the numbers are good for, and a third of the file."""
+    return [float(f"{value:.7g}") for value in floats.tolist()]

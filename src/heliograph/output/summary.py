@@ -1,0 +1,194 @@
+"""What a run amounted to, and how far it is to be trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.data import Event, ScanResult
+
+__all__ = ["RunSummary", "Tally", "fold_events", "judge"]
+
+# Shares of the scans from which a result is called degraded or lost. A single bad scan in a thousand is normal (a
+# person walks past the sensor); from a tenth on a user who trusts the map without looking would be misled.
+DEGRADED_SHARE = 0.10
+LOST_SHARE = 0.10
+UNTRACKED_SHARE = 0.50
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunSummary:
+    """The account of one run.
+
+    Parameters
+    ----------
+    status : str
+        ``"ok"``, ``"degraded"`` or ``"lost"``.
+    reasons : tuple of str
+        Why it is not ``"ok"``, with numbers.
+    interrupted : bool
+        True when Ctrl-C ended it before the recording did.
+    sensors : tuple of str
+        Sensors that the estimate rests on, of ``"lidar"`` and ``"imu"``.
+    scans : int
+        Results produced.
+    statuses : mapping
+        Scan status -> how many.
+    distance : float
+        Length of the path at the scans' ends [m].
+    duration : float
+        From the first scan's end to the last one's [s].
+    start_end_gap : float
+        Distance between the first and the last position [m].
+    weakest_eigenvalue : float
+        Smallest eigenvalue of any scan's per-measurement translation information, NaN if no scan was matched.
+    weakest_direction : (3,) float64
+        Its direction, map frame, unit length.
+    weakest_index : int
+        The scan where it occurred; -1 if none.
+    wall_seconds : float
+        From opening the recording to the last result [s].
+    seconds : mapping
+        Where those went: ``"opening"``, ``"reading"``, ``"odometry"``, ``"writing"`` [s]. Where a second thread reads
+        ahead, ``"reading"`` is the waiting only.
+    stage_ms : mapping
+        The odometry's own stages -> mean milliseconds a scan.
+    events : tuple of Event
+        Warnings of the recording and of the odometry, repeats folded.
+    T_map_odom : (4, 4) float64
+        Applied to every written pose and map point: the odometry's last word on which way is up.
+    failure : str
+        The error that ended the run early, or empty.
+    """
+
+    status: str = "ok"
+    reasons: tuple[str, ...] = ()
+    interrupted: bool = False
+    sensors: tuple[str, ...] = ("lidar", "imu")
+    scans: int = 0
+    statuses: Mapping[str, int] = field(default_factory=dict)
+    distance: float = 0.0
+    duration: float = 0.0
+    start_end_gap: float = 0.0
+    weakest_eigenvalue: float = float("nan")
+    weakest_direction: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    weakest_index: int = -1
+    wall_seconds: float = 0.0
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    stage_ms: Mapping[str, float] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
+    T_map_odom: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    failure: str = ""
+
+    @property
+    def ms_per_scan(self) -> float:
+        """Wall time a scan, reading and writing included [ms]."""
+        return 1e3 * self.wall_seconds / max(self.scans, 1)
+
+
+def judge(
+    statuses: Mapping[str, int], *, sensors: Iterable[str], interrupted: bool = False
+) -> tuple[str, tuple[str, ...]]:
+    """Decide how far a result is to be trusted, and say why.
+
+    Parameters
+    ----------
+    statuses : mapping
+        Scan status -> how many.
+    sensors : iterable of str
+        Sensors that the estimate rests on.
+    interrupted : bool
+        Whether the run ended early; a reason, not a verdict on the part that was done.
+
+    Returns
+    -------
+    status : str
+        ``"ok"``, ``"degraded"`` or ``"lost"``.
+    reasons : tuple of str
+        One line each.
+    """
+    total = max(sum(statuses.values()), 1)
+    share = {name: statuses.get(name, 0) / total for name in ("degenerate", "predicted", "lost", "empty")}
+    unmatched = share["lost"] + share["predicted"] + share["empty"]
+    lost, degraded = [], []
+    if share["lost"] >= LOST_SHARE:
+        lost.append(f"{share['lost']:.0%} of the scans were lost")
+    if "lidar" in sensors:
+        if unmatched >= UNTRACKED_SHARE:
+            lost.append(f"{unmatched:.0%} of the scans could not be matched to the map")
+        elif unmatched >= DEGRADED_SHARE:
+            degraded.append(
+                f"{unmatched:.0%} of the scans could not be matched; the motion model carried on through them"
+            )
+        if share["degenerate"] >= DEGRADED_SHARE:
+            degraded.append(f"one direction was unobservable in {share['degenerate']:.0%} of the scans")
+    else:
+        degraded.append("dead reckoning on the IMU alone: the position error grows with the square of time")
+    status = "lost" if lost else "degraded" if degraded else "ok"
+    early = ("interrupted: the result covers the part that was read",) if interrupted else ()
+    return status, (*lost, *degraded, *early)
+
+
+def fold_events(events: Iterable[Event]) -> tuple[Event, ...]:
+    """Fold repeats of one code into its first occurrence, with the sum of the counts, in order of appearance."""
+    folded: dict[tuple[str, str], Event] = {}
+    for event in events:
+        key = (event.code, event.severity)
+        first = folded.get(key)
+        folded[key] = event if first is None else replace(first, count=first.count + event.count)
+    return tuple(folded.values())
+
+
+class Tally:
+    """Adds results up as they pass, in constant memory."""
+
+    def __init__(self) -> None:
+        self.scans = 0
+        self.statuses: dict[str, int] = {}
+        self.stage_totals: dict[str, float] = {}
+        self.distance = 0.0
+        self.weakest = (float("nan"), np.zeros(3), -1)
+        self._events: dict[tuple[str, str], Event] = {}
+        self._first: ScanResult | None = None
+        self._span = (0, 0)
+        self._start = np.zeros(3)
+        self._last = np.zeros(3)
+
+    def add(self, result: ScanResult) -> None:
+        """Count one result."""
+        position = result.T_odom_imu[:3, 3].copy()
+        if self.scans == 0:
+            self._start, self._last, self._span = position, position, (result.end_ns, result.end_ns)
+        self.distance += float(np.linalg.norm(position - self._last))
+        self._last, self._span = position, (self._span[0], result.end_ns)
+        self.scans += 1
+        self.statuses[result.status] = self.statuses.get(result.status, 0) + 1
+        for stage, ms in result.timings.items():
+            self.stage_totals[stage] = self.stage_totals.get(stage, 0.0) + ms
+        if result.matches > 0 and not self.weakest[0] <= result.eigenvalues_translation[0]:
+            self.weakest = (float(result.eigenvalues_translation[0]), result.weak_direction.copy(), result.index)
+        self.add_events(result.events)
+
+    def add_events(self, events: Iterable[Event]) -> None:
+        """Fold in what a scan, the odometry or the recording had to say."""
+        for event in fold_events((*self._events.values(), *events)):
+            self._events[event.code, event.severity] = event
+
+    def summary(self, **facts: object) -> RunSummary:
+        """Return the account; ``facts`` are the fields that the results do not tell."""
+        base = RunSummary(
+            scans=self.scans,
+            statuses=dict(self.statuses),
+            distance=self.distance,
+            duration=(self._span[1] - self._span[0]) * 1e-9,
+            start_end_gap=float(np.linalg.norm(self._last - self._start)),
+            weakest_eigenvalue=self.weakest[0],
+            weakest_direction=self.weakest[1],
+            weakest_index=self.weakest[2],
+            stage_ms={stage: total / max(self.scans, 1) for stage, total in self.stage_totals.items()},
+            events=tuple(self._events.values()),
+        )
+        return replace(base, **facts)  # type: ignore[arg-type]

@@ -1,0 +1,106 @@
+"""The three trajectory files of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.data import ImuBatch, ScanResult, Trajectory
+from heliograph.io.tum import TumWriter, read_tum, write_tum
+
+__all__ = ["FILES", "TrajectoryFiles"]
+
+FILES = ("trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum")
+
+
+class TrajectoryFiles:
+    """Streams poses of one body frame to disk; nothing of them stays in memory.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to write.
+    body : str
+        Name of the frame whose poses are written.
+    T_imu_body : (4, 4) float64
+        That frame on the IMU.
+    version : str
+        For the first line of each file.
+    """
+
+    def __init__(self, folder: Path, *, body: str, T_imu_body: NDArray[np.float64], version: str) -> None:
+        self.folder, self.body, self.T_imu_body, self.version = folder, body, T_imu_body, version
+        self._scan_rate = {
+            name: TumWriter(folder / name, self.header(frame, "header stamp of a LiDAR message [s]"))
+            for name, frame in (("trajectory.tum", "map"), ("odometry.tum", "odom"))
+        }
+        self._imu_rate: TumWriter | None = None
+        self._pending: list[NDArray[np.int64]] = []
+        self._last_scan_ns = self._last_imu_ns = np.iinfo(np.int64).min
+
+    def header(self, frame: str, stamp: str) -> str:
+        """Return a file's first line."""
+        transform = f"T_{frame}_{self.body} (p_{frame} = T p_{self.body})"
+        return f"heliograph {self.version}: {transform}, stamp = {stamp}, x y z [m] qx qy qz qw"
+
+    def observe(self, batch: ImuBatch) -> None:
+        """Remember the IMU's stamps: they tell which poses of a path belong to a sample."""
+        self._pending.append(batch.stamps_ns)
+
+    def add(self, result: ScanResult) -> None:
+        """Append a scan's row, and one row for each IMU sample since the scan before."""
+        if result.header_stamp_ns > self._last_scan_ns:  # a duplicate or rewound message adds no row
+            self._last_scan_ns = result.header_stamp_ns
+            for writer in self._scan_rate.values():
+                writer.append(result.header_stamp_ns, result.T_odom_imu_header @ self.T_imu_body)
+        if self._pending:
+            self._add_imu_rows(result.path)
+
+    def _add_imu_rows(self, path: Trajectory) -> None:
+        if not len(path):
+            return
+        samples = np.concatenate(self._pending)
+        new = np.isin(path.stamps_ns, samples) & (path.stamps_ns > self._last_imu_ns)
+        new[1:] &= np.diff(path.stamps_ns) > 0
+        self._pending = [samples[samples > path.stamps_ns[-1]]]
+        if not new.any():
+            return
+        if self._imu_rate is None:
+            self._imu_rate = TumWriter(self.folder / FILES[2], self.header("map", "time of an IMU sample [s]"))
+        self._last_imu_ns = int(path.stamps_ns[new][-1])
+        self._imu_rate.extend(path.stamps_ns[new], path.T_frame_body[new] @ self.T_imu_body)
+
+    def writers(self) -> Iterator[TumWriter]:
+        """Yield the open files."""
+        yield from self._scan_rate.values()
+        if self._imu_rate is not None:
+            yield self._imu_rate
+
+    def flush(self) -> None:
+        """Hand the rows so far to the operating system."""
+        for writer in self.writers():
+            writer.flush()
+
+    def release(self) -> None:
+        """Flush and close the files as they are."""
+        for writer in self.writers():
+            writer.close()
+
+    def close(self, T_map_odom: NDArray[np.float64]) -> list[Path]:
+        """Finish the files; those of the map frame are rewritten where it differs from odom.
+
+        Until loops exist nothing tells map from odom but gravity, which both are levelled by: all files turn alike.
+        """
+        self.release()
+        paths = [writer.path for writer in self.writers()]
+        if not np.array_equal(T_map_odom, np.eye(4)):
+            for path in paths:
+                with path.open(encoding="utf-8") as file:
+                    header = file.readline().lstrip("# ").strip()
+                rows = read_tum(path)
+                T_map_body = T_map_odom @ rows.T_frame_body
+                write_tum(path, Trajectory(stamps_ns=rows.stamps_ns, T_frame_body=T_map_body), header)
+        return paths

@@ -1,0 +1,238 @@
+"""Recording -> odometry -> sinks, on one page."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
+from typing import Protocol
+
+import numpy as np
+
+from heliograph.config import RunConfig
+from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult
+from heliograph.errors import ConfigError, DataError
+from heliograph.io.prefetch import prefetch
+from heliograph.odometry import Odometry, make_odometry
+from heliograph.output.sink import Sink
+from heliograph.output.summary import RunSummary, Tally, judge
+
+__all__ = ["Source", "run", "sensors_in_use"]
+
+Message = Scan | ImuBatch | GnssFix
+
+
+class Source(Protocol):
+    """What the pipeline needs of a recording."""
+
+    rig: Rig
+    sensors: frozenset[str]
+
+    @property
+    def events(self) -> list[Event]:
+        """Warnings so far."""
+        ...
+
+    def stream(self) -> Iterator[Message]:
+        """Yield the messages in causal order."""
+        ...
+
+
+def run(
+    recording: Source,
+    config: RunConfig,
+    *,
+    sinks: Sequence[Sink] = (),
+    stop: Callable[[], bool] = lambda: False,
+    odometry: Odometry | None = None,
+    opening_seconds: float = 0.0,
+) -> RunSummary:
+    """Estimate the trajectory of a recording and hand each scan's result to the sinks.
+
+    Parameters
+    ----------
+    recording : Source
+        As `heliograph.io.open_recording` returns it; read once, in causal order.
+    config : RunConfig
+        The run's settings.
+    sinks : sequence of Sink
+        Each gets every message, every result, and at the end the summary.
+    stop : callable
+        Asked before each message; True ends the run early with what is there.
+    odometry : Odometry, optional
+        An estimator of one's own; by default the one that ``config.odometry`` names.
+    opening_seconds : float
+        What it took to open the recording; counted into the wall time [s].
+
+    Returns
+    -------
+    RunSummary
+        Status and its reasons, totals, timings, folded warnings.
+
+    Raises
+    ------
+    DataError
+        No scan came out of the recording.
+    OutputError
+        A sink could not write. After this or any other failure every sink has been closed with what was done till then.
+    """
+    sensors, threads, clock, tally = (
+        sensors_in_use(recording, config),
+        thread_count(config),
+        Clock(opening_seconds),
+        Tally(),
+    )
+    odometry = odometry or make_odometry(config, recording.rig, sensors, threads)
+    interrupted, failure = False, None
+    try:
+        with closing(messages(recording, sensors, threads)) as stream:
+            for message in clock.each("reading", stream):  # 1. the recording's messages, in causal order
+                deliver_message(message, sinks, clock)
+                with clock("odometry"):
+                    results = odometry.add(message)  # 2. none, one or several scans are ready
+                deliver(results, tally, sinks, clock)  # 3. count and write them
+                if interrupted := stop():
+                    break
+        with clock("odometry"):
+            results = odometry.finish()  # 4. nothing more comes: the scans that were waiting for it
+        deliver(results, tally, sinks, clock)
+    except KeyboardInterrupt:
+        interrupted = True  # what is there stays, and is valid
+    except Exception as error:
+        failure = error
+    tally.add_events((*recording.events, *odometry.events))
+    summary = conclude(tally, sensors, odometry, clock, interrupted=interrupted, failure=failure)  # 5. how good is it
+    failure = close(sinks, summary) or failure  # 6. every sink ends with what it has
+    if failure is None and not tally.scans and not interrupted:
+        failure = DataError("no scan came out of the recording; `heliograph info` shows what it holds")
+    if failure is not None:
+        raise failure
+    return summary
+
+
+def sensors_in_use(recording: Source, config: RunConfig) -> frozenset[str]:
+    """Return the sensors to estimate with: those asked for, or all that the recording holds.
+
+    Raises
+    ------
+    DataError
+        One that was asked for is not in the recording.
+    """
+    if config.sensors == "auto":
+        return recording.sensors & {"lidar", "imu"}
+    asked = frozenset(name.strip() for name in config.sensors.split(",") if name.strip())
+    if not asked or asked - {"lidar", "imu"}:
+        raise ConfigError(f"sensors = '{config.sensors}' is not one of auto, 'lidar,imu', lidar, imu")
+    if missing := sorted(asked - recording.sensors):
+        held = ", ".join(sorted(recording.sensors)) or "none"
+        raise DataError(
+            f"sensors '{config.sensors}' were asked for, but the recording holds no {missing[0]} (it holds: {held})"
+        )
+    return asked
+
+
+def thread_count(config: RunConfig) -> int:
+    """Return the number of threads to use; 0 in the configuration means min(2, cores)."""
+    if config.threads < 0:
+        raise ConfigError(f"threads = {config.threads} is negative; 0 means min(2, cores)")
+    return config.threads or min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
+
+
+class Clock:
+    """Adds up the wall time of each stage."""
+
+    def __init__(self, opening_seconds: float = 0.0) -> None:
+        self.seconds: dict[str, float] = {"opening": opening_seconds}
+        self._start = time.perf_counter() - opening_seconds
+
+    @property
+    def wall(self) -> float:
+        """Seconds since the recording was opened."""
+        return time.perf_counter() - self._start
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        """Time a block."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+
+    def each(self, stage: str, items: Iterator[Message]) -> Iterator[Message]:
+        """Yield ``items``, timing how long each took to come."""
+        while True:
+            with self(stage):
+                item = next(items, None)
+            if item is None:
+                return
+            yield item
+
+
+def messages(recording: Source, sensors: frozenset[str], threads: int) -> Generator[Message, None, None]:
+    """Yield the messages of the sensors in use; with a second thread, decoding runs ahead of the estimation."""
+    stream = recording.stream()
+    if threads > 1:
+        stream = prefetch(stream)
+    wanted = (*((Scan,) if "lidar" in sensors else ()), *((ImuBatch,) if "imu" in sensors else ()), GnssFix)
+    try:
+        for message in stream:
+            if isinstance(message, wanted):
+                yield message
+    finally:
+        if isinstance(stream, Generator):
+            stream.close()
+
+
+def deliver_message(message: Message, sinks: Sequence[Sink], clock: Clock) -> None:
+    """Show a message to the sinks."""
+    with clock("writing"):
+        for sink in sinks:
+            sink.observe(message)
+
+
+def deliver(results: Sequence[ScanResult], tally: Tally, sinks: Sequence[Sink], clock: Clock) -> None:
+    """Count the results and hand them to the sinks."""
+    with clock("writing"):
+        for result in results:
+            tally.add(result)
+            for sink in sinks:
+                sink.add(result)
+
+
+def conclude(
+    tally: Tally,
+    sensors: frozenset[str],
+    odometry: Odometry,
+    clock: Clock,
+    *,
+    interrupted: bool,
+    failure: Exception | None,
+) -> RunSummary:
+    """Return the run's account: what the tally counted, the verdict, the timings, and which way is up after all."""
+    leveling = getattr(odometry, "leveling", None)
+    T_map_odom = np.eye(4) if leveling is None else np.asarray(leveling(), dtype=np.float64)
+    status, reasons = judge(tally.statuses, sensors=sensors, interrupted=interrupted)
+    return tally.summary(
+        status=status,
+        reasons=reasons,
+        interrupted=interrupted,
+        sensors=tuple(name for name in ("lidar", "imu") if name in sensors),
+        weakest_direction=T_map_odom[:3, :3] @ tally.weakest[1],
+        wall_seconds=clock.wall,
+        seconds=dict(clock.seconds),
+        T_map_odom=T_map_odom,
+        failure="" if failure is None else str(failure) or type(failure).__name__,
+    )
+
+
+def close(sinks: Sequence[Sink], summary: RunSummary) -> Exception | None:
+    """Close every sink, also after one of them failed; return the first failure."""
+    failure = None
+    for sink in sinks:
+        try:
+            sink.close(summary)
+        except Exception as error:
+            failure = failure or error
+    return failure

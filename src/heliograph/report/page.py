@@ -1,0 +1,205 @@
+"""The report's page: what came out, how far to trust it, and why, in that order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliograph.data import Event
+from heliograph.io.atomic import atomic_path, write_text
+from heliograph.output.record import RunRecord
+from heliograph.report import charts
+from heliograph.report.mapview import MapPictures
+
+__all__ = ["write_report"]
+
+_STATUS_WORDS = {
+    "ok": "the result holds together",
+    "degraded": "usable with care",
+    "lost": "not to be trusted",
+}
+
+
+def write_report(record: RunRecord) -> list[Path]:
+    """Write ``report.html`` and, where there is a map, ``map.png`` into the run's folder; return their paths.
+
+    Parameters
+    ----------
+    record : RunRecord
+        A finished run with at least one scan.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be written.
+    """
+    paths, pictures = [], None
+    if len(record.points_map):
+        pictures = MapPictures(record)
+        paths.append(record.folder / "map.png")
+        with atomic_path(paths[-1]) as temporary:
+            temporary.write_bytes(pictures.top_png())
+    paths.append(record.folder / "report.html")
+    write_text(paths[-1], page(record, pictures))
+    return paths
+
+
+def page(record: RunRecord, pictures: MapPictures | None) -> str:
+    """Return the report as one HTML document without references to anything outside it."""
+    name = escape(record.name)
+    style = files("heliograph.report").joinpath("style.css").read_text(encoding="utf-8")
+    body = "".join(
+        (
+            header(record),
+            pictures.html() if pictures is not None else "",
+            section("Trajectory", [charts.trajectory(record, turned_like(pictures))], wide=True),
+            section("", charts.motion(record.scans)),
+            observability(record),
+            section("Uncertainty", [*charts.uncertainty(record.scans), *charts.biases(record.scans)]),
+            section("Time", [charts.timings(record), timing_table(record)]),
+            inferences(record.facts.get("inferences", [])),
+            tables(record),
+        )
+    )
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name} · Heliograph</title>'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{style}</style></head>'
+        f"<body><main>{body}</main></body></html>\n"
+    )
+
+
+def turned_like(pictures: MapPictures | None) -> bool:
+    """Return whether the map's picture has x up, so that the trajectory below it is drawn alike."""
+    return pictures is not None and pictures.top.labels[0] != "x"
+
+
+def header(record: RunRecord) -> str:
+    """Return title, verdict, the numbers that matter, and the warnings."""
+    summary = record.summary
+    facts = [
+        ("distance", f"{summary.distance:.1f}", "m"),
+        ("duration", f"{summary.duration:.1f}", "s"),
+        ("scans", f"{summary.scans}", ""),
+        ("start-end gap", f"{summary.start_end_gap:.3f}", "m"),
+        ("a scan", f"{summary.ms_per_scan:.1f}", "ms"),
+        ("sensors", " + ".join({"lidar": "LiDAR", "imu": "IMU"}[name] for name in summary.sensors), ""),
+    ]
+    tiles = "".join(f"<div><dt>{name}</dt><dd>{value}<small> {unit}</small></dd></div>" for name, value, unit in facts)
+    reasons = "".join(f"<li>{escape(reason)}</li>" for reason in summary.reasons)
+    version = escape(str(record.facts.get("versions", {}).get("heliograph", "")))
+    return (
+        f'<header><p class="brand">Heliograph {version} · run report</p><h1>{escape(record.name)}</h1>'
+        f'<p class="verdict {summary.status}"><b>{summary.status}</b> {_STATUS_WORDS[summary.status]}</p>'
+        f'{f"<ul class=reasons>{reasons}</ul>" if reasons else ""}<dl class="tiles">{tiles}</dl>'
+        f"{warnings(record)}</header>"
+    )
+
+
+def warnings(record: RunRecord) -> str:
+    """Return the warnings as callouts; remarks are left to the tables."""
+    rows = "".join(
+        f'<li class="{escape(event.severity)}">{remark(event)}</li>'
+        for event in record.summary.events
+        if event.severity != "info"
+    )
+    return f'<ul class="warnings">{rows}</ul>' if rows else ""
+
+
+def remark(event: Event) -> str:
+    """Return an event's code, how often it came, and what it says."""
+    return f"<b>{escape(event.code)}</b>{times(event.count)} {escape(event.message)}"
+
+
+def times(count: int) -> str:
+    """Return how often, where it was more than once."""
+    return f' <span class="times">{count}×</span>' if count > 1 else ""
+
+
+def section(title: str, figures: Iterable[str], *, wide: bool = False, intro: str = "") -> str:
+    """Return a section of figures, two abreast or one."""
+    heading = f"<h2>{title}</h2>" if title else ""
+    lead = f'<p class="intro">{intro}</p>' if intro else ""
+    return f'<section>{heading}{lead}<div class="{"one" if wide else "two"}">{"".join(figures)}</div></section>'
+
+
+def observability(record: RunRecord) -> str:
+    """Return how well the scans fixed the pose."""
+    if "lidar" not in record.summary.sensors:
+        return ""
+    summary = record.summary
+    intro = (
+        "Eigenvalues of the information that a scan's matches give, scaled to one measurement: how well each direction "
+        "is seen. Those of translation add up to 1, so 0.33 is even and 0.01 is a corridor."
+    )
+    if summary.weakest_index >= 0:
+        direction = ", ".join(f"{value:+.2f}" for value in summary.weakest_direction)
+        intro += (
+            f" The weakest was {summary.weakest_eigenvalue:.3f} along ({direction}) in scan {summary.weakest_index}."
+        )
+    marked = {kind: word for kind, word in charts.VERDICT_WORDS.items() if summary.statuses.get(kind)}
+    keys = "".join(f'<span class="key"><i class="v-{kind}"></i>{word}</span>' for kind, word in marked.items())
+    figures = [*charts.eigenvalues(record.scans), *charts.matching(record.scans)]
+    return section("What the scans could see", figures, intro=intro + keys)
+
+
+def timing_table(record: RunRecord) -> str:
+    """Return where the wall time went."""
+    summary = record.summary
+    rows = [
+        (name, f"{seconds:.2f} s", f"{1e3 * seconds / summary.scans:.2f} ms")
+        for name, seconds in summary.seconds.items()
+    ]
+    rows.append(("wall", f"{summary.wall_seconds:.2f} s", f"{summary.ms_per_scan:.2f} ms"))
+    note = "up to the last scan; reading is the waiting only where a second thread decodes ahead"
+    return (
+        '<figure class="panel"><figcaption><b>Wall time</b></figcaption>'
+        f'{table(("part", "total", "a scan"), rows)}<p class="note">{note}</p></figure>'
+    )
+
+
+def inferences(items: Sequence[Mapping[str, Any]]) -> str:
+    """Return what was inferred from the recording, with the evidence."""
+    if not items:
+        return ""
+    columns = [key for key in items[0] if any(item.get(key) not in (None, "") for item in items)]
+    rows = [tuple(str(item.get(column, "")) for column in columns) for item in items]
+    return f"<section><h2>What was inferred from the recording</h2>{table(tuple(columns), rows)}</section>"
+
+
+def tables(record: RunRecord) -> str:
+    """Return the run's facts, all of its events, and its configuration."""
+    summary = record.summary
+    verdicts = ", ".join(f"{count} {name}" for name, count in summary.statuses.items())
+    facts: list[tuple[str, ...]] = [("scans by verdict", verdicts)]
+    facts += [(str(key), _short(value)) for key, value in record.facts.get("recording", {}).items()]
+    facts += [(str(key), str(value)) for key, value in record.facts.get("versions", {}).items()]
+    remarks = [event for event in summary.events if event.severity == "info"]
+    notes = "".join(f"<li>{remark(event)}</li>" for event in remarks)
+    return (
+        f"<section><h2>The run</h2>{table(('what', 'value'), facts)}"
+        f"{f'<ul class=notes>{notes}</ul>' if notes else ''}"
+        f"<details><summary>Configuration (config.toml)</summary><pre>{escape(record.config)}</pre></details></section>"
+    )
+
+
+def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    """Return a table of escaped text."""
+    top = "".join(f"<th>{escape(cell.replace('_', ' '))}</th>" for cell in head)
+    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f'<div class="scroll"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _short(value: object) -> str:
+    """Return a fact on one line."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, Mapping):
+        return "; ".join(f"{key}: {_short(item)}" for key, item in value.items())
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return ", ".join(_short(item) for item in value)
+    return str(value)

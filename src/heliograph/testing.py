@@ -1,0 +1,247 @@
+"""Laws that parts of Heliograph obey, for the tests of the library and of whoever plugs something in.
+
+Each raises `AssertionError` with the case that breaks the law. Nothing here needs a test framework.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.lie.groups import MatrixGroup
+
+__all__ = [
+    "MAGNITUDES",
+    "RobustKernel",
+    "assert_jacobian",
+    "assert_lie_group",
+    "assert_robust_kernel",
+    "numeric_jacobian",
+]
+
+Array = NDArray[np.float64]
+MAGNITUDES = (
+    0.0,
+    1e-12,
+    1e-9,
+    1e-6,
+    1e-3,
+    0.1,
+    0.7,
+    1.5,
+    2.0,
+    2.5,
+    3.0,
+    np.pi - 1e-3,
+    np.pi - 1e-6,
+    np.pi - 1e-9,
+    np.pi,
+)
+
+
+class RobustKernel(Protocol):
+    """A robust cost of a whitened residual."""
+
+    def cost(self, residual: Array) -> Array:
+        """Return rho(r), elementwise; ``r^2 / 2`` for small residuals."""
+        ...
+
+    def weight(self, residual: Array) -> Array:
+        """Return ``rho'(r) / r``, elementwise; 1 at zero."""
+        ...
+
+
+def numeric_jacobian(f: Callable[[Array], Array], x: Array, *, step: float = 1e-3) -> Array:
+    """Return the derivative of ``f`` at ``x`` by a five-point stencil, (..., m, n) for ``f: (n,) -> (..., m)``.
+
+    Parameters
+    ----------
+    f : callable
+        Of a vector.
+    x : (n,) float64
+        Where.
+    step : float
+        Its truncation error is ``step^4 / 30`` times the fifth derivative, its rounding error about ``1e-16 / step``.
+    """
+    x = np.asarray(x, dtype=np.float64)
+    columns = []
+    for direction in np.eye(len(x)):
+        d = step * direction
+        near, far = f(x + d) - f(x - d), f(x + 2.0 * d) - f(x - 2.0 * d)
+        columns.append((8.0 * near - far) / (12.0 * step))
+    return np.stack(columns, axis=-1)
+
+
+def assert_jacobian(
+    f: Callable[[Array], Array], x: Array, J: Array, *, step: float = 1e-3, rtol: float = 1e-7, atol: float = 1e-9
+) -> None:
+    """Assert that ``J`` (..., m, n) is the derivative of ``f`` at ``x`` (n,).
+
+    For arguments on a manifold pass ``lambda d: f(X.retract(d))`` and ``x = 0``; for values on one, their `local` from
+    the value at ``x``. Use points where the residual is large: a Jacobian that holds only near zero is wrong.
+    """
+    expected = numeric_jacobian(f, x, step=step)
+    np.testing.assert_allclose(J, expected, rtol=rtol, atol=atol, err_msg=f"the Jacobian at x = {np.asarray(x)}")
+
+
+def assert_lie_group(
+    group: type[MatrixGroup],
+    rng: np.random.Generator,
+    *,
+    magnitudes: Sequence[float] = MAGNITUDES,
+    tolerance: float = 1e-12,
+) -> None:
+    """Assert the group axioms, the exponential map, the adjoint, the right Jacobians, the retraction and batching.
+
+    Parameters
+    ----------
+    group : type
+        A class with the interface of `heliograph.lie.SE3`.
+    rng : numpy.random.Generator
+        Draws the elements.
+    magnitudes : sequence of float
+        Rotation angles, each at most pi, to sweep the tangent vectors over [rad].
+    tolerance : float
+        For identities that hold but for rounding; numeric derivatives get what their stencil can give.
+    """
+    for magnitude in magnitudes:
+        x = _tangent(group, rng, magnitude)
+        X, Y, Z = group.exp(x), _random(group, rng), _random(group, rng)
+        case = f"{group.__name__} at rotation angle {magnitude:.12g}"
+        _assert_axioms(group, X, Y, Z, case, tolerance)
+        _assert_exponential(group, x, magnitude, case, tolerance)
+        _assert_adjoint(X, Y, x, case, tolerance)
+        _assert_right_jacobian(group, x, case, tolerance)
+        _assert_retraction(X, Y, x, magnitude, case, tolerance)
+    _assert_batching(group, np.stack([_tangent(group, rng, magnitude) for magnitude in magnitudes]), tolerance)
+
+
+def assert_robust_kernel(kernel: RobustKernel, *, largest: float = 1e3, tolerance: float = 1e-6) -> None:
+    """Assert that a kernel is least squares near zero, never steeper, symmetric, and that its weight is its slope.
+
+    Parameters
+    ----------
+    kernel : RobustKernel
+        Its scale should be within a few orders of magnitude of 1.
+    largest : float
+        Largest residual tried.
+    tolerance : float
+        Relative.
+    """
+    r = np.concatenate([[0.0], np.logspace(-6, np.log10(largest), 400)])
+    cost, weight = np.asarray(kernel.cost(r)), np.asarray(kernel.weight(r))
+    assert cost.shape == weight.shape == r.shape, "cost and weight must work element by element"
+    assert cost[0] == 0.0, f"the cost at zero is {cost[0]}, not 0"
+    np.testing.assert_allclose(weight[0], 1.0, rtol=tolerance, err_msg="the weight at zero")
+    np.testing.assert_allclose(cost[1:4], 0.5 * r[1:4] ** 2, rtol=1e-3, err_msg="the cost of small residuals")
+    assert np.all(cost <= 0.5 * r * r * (1.0 + tolerance) + 1e-300), "the cost exceeds least squares"
+    assert np.all(np.diff(cost) >= -tolerance * cost[1:]), "the cost falls with the residual"
+    assert np.all((weight >= 0.0) & (weight <= 1.0 + tolerance)), "a weight lies outside [0, 1]"
+    assert np.all(np.diff(weight) <= tolerance), "the weight grows with the residual"
+    np.testing.assert_array_equal(kernel.cost(-r), cost, err_msg="the cost of a negative residual")
+    np.testing.assert_array_equal(kernel.weight(-r), weight, err_msg="the weight of a negative residual")
+    step = 1e-4 * r[1:]
+    near = np.asarray(kernel.cost(r[1:] + step)) - np.asarray(kernel.cost(r[1:] - step))
+    far = np.asarray(kernel.cost(r[1:] + 2 * step)) - np.asarray(kernel.cost(r[1:] - 2 * step))
+    slope = (8.0 * near - far) / (12.0 * step)
+    # The rounding of the difference scales with the cost itself, which saturates where the slope dies out.
+    slack = tolerance * weight[1:] * r[1:] + 1e-11 * cost[1:] / step
+    assert np.all(np.abs(slope - weight[1:] * r[1:]) <= slack), "the weight is not the cost's slope over the residual"
+
+
+def _tangent(group: type[MatrixGroup], rng: np.random.Generator, angle: float) -> Array:
+    """Return a random tangent vector with a rotation by the angle and, in a rigid group, a translation of metres."""
+    x, part = rng.normal(size=group.dof), _rotations(group)
+    x[part] *= angle / np.linalg.norm(x[part])
+    return x
+
+
+def _rotations(group: type[MatrixGroup]) -> slice:
+    """Return the part of a tangent vector that is rotation: all of it but for the translation of a rigid group."""
+    return slice(0, group.dof - group.space if group.dof > group.space else group.dof)
+
+
+def _random(group: type[MatrixGroup], rng: np.random.Generator) -> MatrixGroup:
+    return group.exp(_tangent(group, rng, rng.uniform(0.1, 3.0)))
+
+
+def _close(actual: Array, expected: Array, case: str, law: str, tolerance: float) -> None:
+    # Rotations are of order one and translations of order ten: one absolute bound serves both.
+    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=20.0 * tolerance, err_msg=f"{law}, {case}")
+
+
+def _assert_axioms(
+    group: type[MatrixGroup], X: MatrixGroup, Y: MatrixGroup, Z: MatrixGroup, case: str, tolerance: float
+) -> None:
+    E = group.identity()
+    for law, left, right in (
+        ("X I = X", X @ E, X),
+        ("I X = X", E @ X, X),
+        ("X X^-1 = I", X @ X.inverse(), E),
+        ("X^-1 X = I", X.inverse() @ X, E),
+        ("(X Y) Z = X (Y Z)", (X @ Y) @ Z, X @ (Y @ Z)),
+        ("(X Y)^-1 = Y^-1 X^-1", (X @ Y).inverse(), Y.inverse() @ X.inverse()),
+    ):
+        _close(left.matrix, right.matrix, case, law, tolerance)
+    point = np.arange(1.0, 1.0 + group.space)
+    _close((X @ Y) @ point, X @ (Y @ point), case, "(X Y) p = X (Y p)", tolerance)
+
+
+def _assert_exponential(group: type[MatrixGroup], x: Array, angle: float, case: str, tolerance: float) -> None:
+    X = group.exp(x)
+    _close(group.exp(X.log()).matrix, X.matrix, case, "exp(log(X)) = X", tolerance)
+    _close((X @ group.exp(-x)).matrix, group.identity().matrix, case, "exp(x) exp(-x) = I", tolerance)
+    _close((group.exp(0.25 * x) @ group.exp(0.75 * x)).matrix, X.matrix, case, "exp(x/4) exp(3x/4) = exp(x)", tolerance)
+    if angle < np.pi - 1e-10:  # at pi the axis has two signs
+        # Relative where the rotation is tiny: a logarithm that returns zero there is wrong.
+        part, found = _rotations(group), X.log()
+        _close(found, x, case, "log(exp(x)) = x", tolerance)
+        scale = max(angle, 1e-300)
+        _close(found[part] / scale, x[part] / scale, case, "log(exp(x)) / |x|", tolerance)
+
+
+def _assert_adjoint(X: MatrixGroup, Y: MatrixGroup, x: Array, case: str, tolerance: float) -> None:
+    group = type(X)
+    moved = group.exp(Y.adjoint() @ x)
+    _close((Y @ group.exp(x)).matrix, (moved @ Y).matrix, case, "Y exp(x) = exp(Ad x) Y", tolerance)
+    _close((X @ Y).adjoint(), X.adjoint() @ Y.adjoint(), case, "Ad(X Y) = Ad(X) Ad(Y)", tolerance)
+    _close(group.exp(x).adjoint() @ x, x, case, "Ad(exp(x)) x = x", tolerance)
+
+
+def _assert_right_jacobian(group: type[MatrixGroup], x: Array, case: str, tolerance: float) -> None:
+    X, Jr = group.exp(x), group.right_jacobian(x)
+    expected = numeric_jacobian(lambda y: X.local(group.exp(y)), x)
+    _close(Jr, expected, case, "right Jacobian = derivative", max(tolerance, 1e-12))
+    inverse = group.right_jacobian_inverse(x)
+    _close(Jr @ inverse, np.eye(group.dof), case, "Jr Jr^-1 = I", tolerance)
+    _close(X.adjoint() @ Jr, group.right_jacobian(-x), case, "Ad(exp(x)) Jr(x) = Jr(-x)", tolerance)
+
+
+def _assert_retraction(X: MatrixGroup, Y: MatrixGroup, x: Array, angle: float, case: str, tolerance: float) -> None:
+    _close(Y.retract(x).matrix, (Y @ type(X).exp(x)).matrix, case, "retract(Y, x) = Y exp(x)", tolerance)
+    _close(X.retract(X.local(Y)).matrix, Y.matrix, case, "retract(X, local(X, Y)) = Y", tolerance)
+    if angle < np.pi - 1e-5:  # nearer to pi rounding of the product decides the sign of the axis or its digits
+        _close(Y.local(Y.retract(x)), x, case, "local(Y, retract(Y, x)) = x", tolerance)
+
+
+def _assert_batching(group: type[MatrixGroup], x: Array, tolerance: float) -> None:
+    """Assert that a batch gives what its elements give one at a time, in one axis and in two."""
+    case = f"{group.__name__}, batch against loop"
+    batch, Y = group.exp(x), group.exp(x[::-1])
+    singles = [group.exp(row) for row in x]
+    _close(batch.matrix, np.stack([X.matrix for X in singles]), case, "exp", tolerance)
+    _close(batch.log(), np.stack([X.log() for X in singles]), case, "log", tolerance)
+    _close(batch.adjoint(), np.stack([X.adjoint() for X in singles]), case, "adjoint", tolerance)
+    _close(batch.inverse().matrix, np.stack([X.inverse().matrix for X in singles]), case, "inverse", tolerance)
+    products = np.stack([X.matrix @ other for X, other in zip(singles, Y.matrix, strict=True)])
+    _close((batch @ Y).matrix, products, case, "@", tolerance)
+    for name in ("right_jacobian", "right_jacobian_inverse"):
+        f = getattr(group, name)
+        _close(f(x), np.stack([f(row) for row in x]), case, name, tolerance)
+    grid = group.exp(np.stack([x, 0.5 * x]))
+    _close(grid.matrix[1], group.exp(0.5 * x).matrix, case, "two batch axes", tolerance)
+    if group.exp(x[:0]).matrix.shape != (0, group.size, group.size):
+        raise AssertionError(f"{group.__name__}: an empty batch must stay empty")

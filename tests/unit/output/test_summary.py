@@ -1,0 +1,29 @@
+import pytest
+
+from heliograph.output import judge
+
+
+@pytest.mark.parametrize(
+    ("statuses", "status", "word"),
+    [
+        ({"first": 1, "tracked": 99}, "ok", None),
+        ({"tracked": 95, "degenerate": 5}, "ok", None),
+        ({"tracked": 80, "degenerate": 20}, "degraded", "unobservable in 20%"),
+        ({"tracked": 80, "empty": 20}, "degraded", "20%"),
+        ({"tracked": 85, "lost": 15}, "lost", "15%"),
+        ({"tracked": 40, "predicted": 60}, "lost", "60%"),
+    ],
+)
+def test_judge_calls_a_run_by_the_share_of_bad_scans(statuses, status, word):
+    verdict, reasons = judge(statuses, sensors=("lidar", "imu"))
+    assert verdict == status
+    assert (not reasons) if word is None else word in reasons[0]
+
+
+def test_judge_calls_dead_reckoning_degraded():
+    verdict, reasons = judge({"predicted": 50}, sensors=("imu",))
+    assert verdict == "degraded" and "dead reckoning" in reasons[0]
+
+
+def test_judge_interruption_is_a_reason_but_no_verdict():
+    assert judge({"tracked": 9}, sensors=("lidar",), interrupted=True)[0] == "ok"
