@@ -25,27 +25,35 @@ MatchSettings settings(double gate, double kernel, double sigma, int stride, dou
   return s;
 }
 
-nb::tuple planes(const VoxelMap& map, const Points& points, const Matrix4& T_odom_body, const Matrix4& T_body_lidar,
-                 double gate, double kernel, double sigma, int fallback_stride, double fallback_range, int columns,
-                 int threads) {
+MatchScan match_scan(const Points& points, const Floats& before_end, const Matrix4& T_odom_body, const Matrix4& T_body_lidar) {
+  if (before_end.size() != 0 && before_end.size() != points.shape(0))
+    throw std::invalid_argument("before_end needs one time a point, or none");
+  return {span_of(points), span_of(before_end), T_odom_body.data(), T_body_lidar.data()};
+}
+
+nb::tuple planes(const VoxelMap& map, const Points& points, const Floats& before_end, const Matrix4& T_odom_body,
+                 const Matrix4& T_body_lidar, double gate, double kernel, double sigma, int fallback_stride,
+                 double fallback_range, int columns, int threads) {
   const MatchSettings s = settings(gate, kernel, sigma, fallback_stride, fallback_range, columns);
+  const MatchScan scan = match_scan(points, before_end, T_odom_body, T_body_lidar);
   NormalEquations sums;
   {
     nb::gil_scoped_release release;
-    sums = match_planes(map, span_of(points), T_odom_body.data(), T_body_lidar.data(), s, threads);
+    sums = match_planes(map, scan, s, threads);
   }
   return to_tuple(sums, columns);
 }
 
-nb::tuple nearest_points(const VoxelMap& map, const Points& points, const Matrix4& T_odom_body, double gate,
-                         double kernel, double sigma, int threads) {
-  const MatchSettings s = settings(gate, kernel, sigma, 0, gate, 6);
+nb::tuple nearest_points(const VoxelMap& map, const Points& points, const Floats& before_end, const Matrix4& T_odom_body,
+                         const Matrix4& T_body_lidar, double gate, double kernel, double sigma, int columns, int threads) {
+  const MatchSettings s = settings(gate, kernel, sigma, 0, gate, columns);
+  const MatchScan scan = match_scan(points, before_end, T_odom_body, T_body_lidar);
   NormalEquations sums;
   {
     nb::gil_scoped_release release;
-    sums = match_points(map, span_of(points), T_odom_body.data(), s, threads);
+    sums = match_points(map, scan, s, threads);
   }
-  return to_tuple(sums, 6);
+  return to_tuple(sums, columns);
 }
 
 nb::tuple query(const VoxelMap& map, const Vectors& points, double gate, int fallback_stride, double fallback_range) {
@@ -66,11 +74,12 @@ nb::tuple query(const VoxelMap& map, const Vectors& points, double gate, int fal
 
 void bind_registration(nb::module_& m) {
   using namespace nb::literals;
-  m.def("match_planes", &planes, "map"_a, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(),
-        "T_body_lidar"_a.noconvert(), "gate"_a, "kernel"_a, "sigma"_a, "fallback_stride"_a, "fallback_range"_a,
-        "columns"_a, "threads"_a);
-  m.def("match_points", &nearest_points, "map"_a, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "gate"_a,
-        "kernel"_a, "sigma"_a, "threads"_a);
+  m.def("match_planes", &planes, "map"_a, "points_body"_a.noconvert(), "before_end"_a.noconvert(),
+        "T_odom_body"_a.noconvert(), "T_body_lidar"_a.noconvert(), "gate"_a, "kernel"_a, "sigma"_a, "fallback_stride"_a,
+        "fallback_range"_a, "columns"_a, "threads"_a);
+  m.def("match_points", &nearest_points, "map"_a, "points_body"_a.noconvert(), "before_end"_a.noconvert(),
+        "T_odom_body"_a.noconvert(), "T_body_lidar"_a.noconvert(), "gate"_a, "kernel"_a, "sigma"_a, "columns"_a,
+        "threads"_a);
   m.def("query_planes", &query, "map"_a, "points_odom"_a.noconvert(), "gate"_a, "fallback_stride"_a, "fallback_range"_a);
 }
 
