@@ -6,12 +6,12 @@ namespace heliograph {
 
 namespace {
 
-nb::tuple to_tuple(const NormalEquations& sums, int columns) {
+Tuple to_tuple(const NormalEquations& sums, int columns) {
   const auto n = static_cast<size_t>(columns);
   std::vector<double> information(sums.information, sums.information + n * n);
   std::vector<double> gradient(sums.gradient, sums.gradient + n);
-  return nb::make_tuple(to_numpy<double>(std::move(information), {n, n}), to_numpy<double>(std::move(gradient), {n}),
-                        sums.weight, sums.robust_weight, sums.square, sums.cost, sums.matches, sums.fallback_matches);
+  return Tuple(nb::make_tuple(to_numpy<double>(std::move(information), {n, n}), to_numpy<double>(std::move(gradient), {n}),
+                        sums.weight, sums.robust_weight, sums.square, sums.cost, sums.matches, sums.fallback_matches));
 }
 
 void check(const MatchSettings& s) {
@@ -31,7 +31,7 @@ MatchScan match_scan(const Points& points, const Floats& before_end, const Matri
   return {span_of(points), span_of(before_end), T_odom_body.data(), T_body_lidar.data()};
 }
 
-nb::tuple planes(const VoxelMap& map, const Points& points, const Floats& before_end, const Matrix4& T_odom_body,
+Tuple planes(const VoxelMap& map, const Points& points, const Floats& before_end, const Matrix4& T_odom_body,
                  const Matrix4& T_body_lidar, double gate, double kernel, double sigma, int fallback_stride,
                  double fallback_range, int columns, int threads) {
   const MatchSettings s = settings(gate, kernel, sigma, fallback_stride, fallback_range, columns);
@@ -44,7 +44,7 @@ nb::tuple planes(const VoxelMap& map, const Points& points, const Floats& before
   return to_tuple(sums, columns);
 }
 
-nb::tuple nearest_points(const VoxelMap& map, const Points& points, const Floats& before_end, const Matrix4& T_odom_body,
+Tuple nearest_points(const VoxelMap& map, const Points& points, const Floats& before_end, const Matrix4& T_odom_body,
                          const Matrix4& T_body_lidar, double gate, double kernel, double sigma, int columns, int threads) {
   const MatchSettings s = settings(gate, kernel, sigma, 0, gate, columns);
   const MatchScan scan = match_scan(points, before_end, T_odom_body, T_body_lidar);
@@ -56,7 +56,7 @@ nb::tuple nearest_points(const VoxelMap& map, const Points& points, const Floats
   return to_tuple(sums, columns);
 }
 
-nb::tuple query(const VoxelMap& map, const Vectors& points, double gate, int fallback_stride, double fallback_range) {
+Tuple query(const VoxelMap& map, const Vectors& points, double gate, int fallback_stride, double fallback_range) {
   const size_t n = points.shape(0);
   std::vector<float> normal(3 * n), variance(n);
   std::vector<double> point(3 * n);
@@ -66,8 +66,8 @@ nb::tuple query(const VoxelMap& map, const Vectors& points, double gate, int fal
     query_planes(map, span_of(points), settings(gate, 0.0, 1.0, fallback_stride, fallback_range, 6),
                  {normal.data(), point.data(), variance.data(), source.data()});
   }
-  return nb::make_tuple(to_numpy<float>(std::move(normal), {n, 3}), to_numpy<double>(std::move(point), {n, 3}),
-                        to_numpy<float>(std::move(variance), {n}), to_numpy<uint8_t>(std::move(source), {n}));
+  return Tuple(nb::make_tuple(to_numpy<float>(std::move(normal), {n, 3}), to_numpy<double>(std::move(point), {n, 3}),
+                        to_numpy<float>(std::move(variance), {n}), to_numpy<uint8_t>(std::move(source), {n})));
 }
 
 }  // namespace
