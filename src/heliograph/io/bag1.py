@@ -49,12 +49,13 @@ def _records(body: memoryview, at: int = 0) -> Iterator[tuple[dict[str, bytes], 
 
 
 def _decompress(kind: bytes, data: memoryview) -> memoryview:
+    """Return a chunk's records; of one that is cut off, as much as can be had."""
     if kind == b"none":
         return data
     if kind == b"bz2":
-        return memoryview(bz2.decompress(data))
+        return memoryview(bz2.BZ2Decompressor().decompress(data))
     if kind == b"lz4":
-        return memoryview(lz4.frame.decompress(data))
+        return memoryview(lz4.frame.LZ4FrameDecompressor().decompress(bytes(data)))
     raise ValueError(f"chunk compression '{kind.decode(errors='replace')}' is not known")
 
 
@@ -175,11 +176,7 @@ class _Salvage:
                     return
                 (wanted,) = struct.unpack("<I", length)
                 data = memoryview(file.read(wanted))
-                header = _header(memoryview(head))
-                # A chunk that was being written when the recorder died is readable up to its last whole message.
-                if len(data) < wanted and header.get("compression") != b"none":
-                    return
-                yield header, data
+                yield _header(memoryview(head)), data
 
     def _messages(self, names: dict[int, tuple[str, str]]) -> Iterator[tuple[int, int, memoryview]]:
         try:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from heliograph.data import Rig
 from heliograph.errors import ConfigError, closest
-from heliograph.io.rotations import rotations_from_quaternions
+from heliograph.lie import so3
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -87,7 +87,7 @@ def _rotation(path: Path, table: Mapping[str, Any], key: str) -> NDArray[np.floa
     length = float(np.linalg.norm(quaternion))
     if abs(length - 1.0) > _MAX_DEFECT:
         raise ConfigError(f"extrinsic {path}: the quaternion (x, y, z, w) has length {length:.6f}, expected 1")
-    return rotations_from_quaternions(quaternion)
+    return so3.from_quaternion(quaternion)
 
 
 def _numbers(path: Path, table: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -109,5 +109,4 @@ def _orthonormal(path: Path, R: NDArray[np.float64]) -> NDArray[np.float64]:
             "is a mirror" if np.linalg.det(R) < 0 else f"is no rotation (R^T R differs from identity by {defect:.2g})"
         )
         raise ConfigError(f"extrinsic {path}: the rotation {kind}; check the order of its rows")
-    u, _, vt = np.linalg.svd(R)
-    return np.asarray(u @ vt)
+    return so3.project(R)

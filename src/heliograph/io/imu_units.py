@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from heliograph.config import InputConfig
 from heliograph.data import Event
-from heliograph.errors import ConfigError, closest
 from heliograph.io.inference import Inference, inferred
 from heliograph.io.raw import RawImu
 
@@ -41,11 +40,6 @@ def infer_imu_units(samples: Sequence[RawImu], config: InputConfig) -> ImuUnits:
         The first ones, at least one.
     config : InputConfig
         Overrides.
-
-    Raises
-    ------
-    ConfigError
-        An override is no known unit.
     """
     accel = np.array([s.accel for s in samples], dtype=np.float64)
     gyro = np.array([s.gyro for s in samples], dtype=np.float64)
@@ -57,18 +51,12 @@ def infer_imu_units(samples: Sequence[RawImu], config: InputConfig) -> ImuUnits:
     return ImuUnits(ACCEL_UNITS[accel_unit], GYRO_UNITS[gyro_unit], (accel_inference, gyro_inference), tuple(events))
 
 
-def _checked(key: str, value: str, units: dict[str, float]) -> str:
-    if value not in units:
-        raise ConfigError(f"input.{key}: '{value}' is not one of {', '.join(units)}{closest(value, units)}")
-    return value
-
-
 def _accel(accel: NDArray[np.float64], override: str) -> tuple[str, Inference, list[Event]]:
     size = float(np.median(np.linalg.norm(accel, axis=1))) if len(accel) else 0.0
     evidence = f"median magnitude of the first {len(accel)} samples is {size:.4g}"
     name = "accelerometer unit"
     if override:
-        return _checked("accel_unit", override, ACCEL_UNITS), inferred(name, override, evidence, source="override"), []
+        return override, inferred(name, override, evidence, source="override"), []
     if 0.3 < size < 3.0:
         message = f"the accelerometer counts in g, not m/s^2: {evidence}; it is multiplied by {GRAVITY}"
         return (
@@ -90,7 +78,7 @@ def _gyro(
     name = "gyroscope unit"
     if override:
         text = f"largest rate {largest:.4g}"
-        return _checked("gyro_unit", override, GYRO_UNITS), inferred(name, override, text, source="override")
+        return override, inferred(name, override, text, source="override")
     if largest > FASTEST:
         return "deg/s", inferred(name, "deg/s", f"largest rate {largest:.4g}: beyond any gyroscope in rad/s (35)")
     slope, correlation, count = _gravity_turn(accel, gyro, stamps_ns)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from heliograph.data import Event
 from heliograph.errors import FormatError
 from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo
-from heliograph.io.rotations import invert_pose
 from heliograph.io.tum import parse_seconds
+from heliograph.lie import se3
 
 __all__ = ["open_kitti"]
 
@@ -171,7 +171,7 @@ class _RawDrive(_Folder):
         for folder in (self._folder, self._folder.resolve().parent):
             path = folder / "calib_imu_to_velo.txt"
             if path.is_file():
-                return invert_pose(_read_calibration(path)), "KITTI calib_imu_to_velo.txt"
+                return se3.inverse(_read_calibration(path)), "KITTI calib_imu_to_velo.txt"
         return None
 
 

@@ -22,7 +22,7 @@ import lz4.frame
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
-from heliograph.io.storage import Channel, RawBytes, merge_lazily, note, ros2_name, zstd_decompress
+from heliograph.io.storage import Channel, RawBytes, merge_lazily, note, ros2_name, zstd_beginning, zstd_decompress
 
 __all__ = ["McapStorage"]
 
@@ -72,20 +72,21 @@ def _records(body: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def _decompress(body: memoryview) -> memoryview:
-    """Return the records of a chunk."""
+    """Return the records of a chunk; of one that is cut off, as much as can be had."""
     (_, _, size, _) = struct.unpack_from("<QQQI", body, 0)
     compression, at = _text(body, 28)
     (stored,) = struct.unpack_from("<Q", body, at)
     data = body[at + 8 : at + 8 + stored]
+    cut_off = len(data) < stored
     if compression == "":
         return data
     if compression == "zstd":
-        content = zstd_decompress(data)
+        content = zstd_beginning(data) if cut_off else zstd_decompress(data)
     elif compression == "lz4":
-        content = lz4.frame.decompress(data)
+        content = lz4.frame.LZ4FrameDecompressor().decompress(bytes(data)) if cut_off else lz4.frame.decompress(data)
     else:
         raise ValueError(f"chunk compression '{compression}' is not known")
-    if len(content) != size:
+    if len(content) != size and not cut_off:
         raise ValueError(f"a chunk holds {len(content)} bytes instead of {size}")
     return memoryview(content)
 
@@ -208,7 +209,6 @@ class McapStorage:
 
     def _walk(self) -> None:
         """Index a file without summary record by record; what is cut off ends it with a warning."""
-        reason = "it has no end record: the recorder was stopped before it finished the file"
         try:
             for opcode, record, offset in self._top_level():
                 self._read_definition(opcode, record)
@@ -216,11 +216,10 @@ class McapStorage:
                     self._loose = True
                     self._count_message(record)
                 elif opcode == CHUNK:
-                    inside = self._index_chunk(record)
-                    first, last = struct.unpack_from("<QQ", record, 0)
-                    self._chunks.append(_Chunk(first, last, offset, len(record) + RECORD.size, inside))
+                    self._index_chunk(record, offset)
                 elif opcode in (DATA_END, FOOTER):
                     return
+            reason = "it has no end record"
         except DAMAGE as error:
             reason = str(error)
         count = sum(self._counts.values())
@@ -237,27 +236,35 @@ class McapStorage:
         self.start_ns, self.end_ns = min(self.start_ns, time_ns), max(self.end_ns, time_ns)
         return int(key)
 
-    def _index_chunk(self, record: memoryview) -> frozenset[int]:
+    def _index_chunk(self, record: memoryview, offset: int) -> None:
         keys: set[int] = set()
-        for opcode, inner in _records(_decompress(record)):
-            self._read_definition(opcode, inner)
-            if opcode == MESSAGE:
-                keys.add(self._count_message(inner))
-        return frozenset(keys)
+        try:
+            for opcode, inner in _records(_decompress(record)):
+                self._read_definition(opcode, inner)
+                if opcode == MESSAGE:
+                    keys.add(self._count_message(inner))
+        except DAMAGE as error:  # the messages before it are as good as any, and so are the chunks after it
+            message = f"{self.path.name}: the chunk at byte {offset} is damaged ({error}); its readable part is used"
+            note(self.events, Event(code="damaged-chunk", message=message))
+        first, last = struct.unpack_from("<QQ", record, 0)
+        self._chunks.append(_Chunk(first, last, offset, len(record) + RECORD.size, frozenset(keys)))
 
     def _top_level(self) -> Iterator[tuple[int, memoryview, int]]:
-        """Yield opcode, body and offset of the records outside chunks, up to the file's end."""
+        """Yield opcode, body and offset of the outer records; a cut-off chunk is yielded before the error."""
         at = len(MAGIC)
         while True:
             self._file.seek(at)
             head = self._file.read(RECORD.size)
-            if not head:
-                return
-            opcode, size = RECORD.unpack(head)
+            opcode, size = RECORD.unpack(head) if len(head) == RECORD.size else (0, 0)
+            if opcode == 0:
+                raise EOFError("it has no end record: its recorder was stopped before it finished the file")
             body = memoryview(self._file.read(size))
+            if len(body) == size or opcode == CHUNK:
+                yield opcode, body, at
             if len(body) < size:
-                raise EOFError(f"cut off at byte {at + 9 + len(body)}")
-            yield opcode, body, at
+                raise EOFError(f"cut off at byte {at + RECORD.size + len(body)}")
+            if opcode == FOOTER:
+                return
             at += RECORD.size + size
 
     def _read_chunk(self, chunk: _Chunk, wanted: dict[int, Channel], start_ns: int) -> Iterator[RawBytes]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.errors import FormatError, MissingDependencyError
 from heliograph.io.raw import RawCloud, RawImu, RawMessage
-from heliograph.io.rotations import invert_pose
+from heliograph.lie import se3
 
 __all__ = ["OusterDecoder", "is_ouster_metadata", "ouster_core"]
 
@@ -177,4 +177,4 @@ class OusterDecoder:
         """
         T_sensor_imu = np.array(self.info.imu_to_sensor_transform, dtype=np.float64)
         T_sensor_imu[:3, 3] *= _MILLIMETRE
-        return invert_pose(T_sensor_imu), f"Ouster {self.info.prod_line}"
+        return se3.inverse(T_sensor_imu), f"Ouster {self.info.prod_line}"

@@ -47,6 +47,14 @@ class _Part:
     zstd_messages: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class _OpenPart:
+    """An opened file; ``zstd_messages`` as in `_Part`."""
+
+    storage: Storage
+    zstd_messages: bool
+
+
 def open_rosbag(paths: Sequence[Path]) -> RawSource | None:
     """Open ROS recordings; None where no path is one.
 
@@ -142,7 +150,7 @@ class RosbagSource:
         self.events = events
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._files = tuple(part.path for part in parts)
-        self._storages: list[tuple[Storage, bool]] = []
+        self._parts: list[_OpenPart] = []
         try:
             self._open(parts)
         except BaseException:
@@ -161,8 +169,8 @@ class RosbagSource:
                 failure = error
                 note(self.events, Event(code="unreadable-file", message=f"{error}; the other files are used"))
                 continue
-            self._storages.append((storage, part.zstd_messages))
-        if not self._storages and failure is not None:
+            self._parts.append(_OpenPart(storage, part.zstd_messages))
+        if not self._parts and failure is not None:
             raise failure
 
     def _open_storage(self, path: Path) -> Storage:
@@ -181,7 +189,7 @@ class RosbagSource:
         """Return a temporary copy of a zstd-compressed file: readers need to seek."""
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="heliograph-")
-        target = Path(self._folder.name) / f"{len(self._storages)}-{path.stem}"
+        target = Path(self._folder.name) / f"{len(self._parts)}-{path.stem}"
         try:
             with path.open("rb") as packed, zstd_open(packed) as content, target.open("wb") as out:
                 shutil.copyfileobj(content, out, 1 << 20)
@@ -191,8 +199,8 @@ class RosbagSource:
 
     def _collect_topics(self) -> tuple[TopicInfo, ...]:
         found: dict[str, TopicInfo] = {}
-        for storage, _ in self._storages:
-            for channel in storage.channels:
+        for part in self._parts:
+            for channel in part.storage.channels:
                 kind = _kind(channel.topic, channel.message_type, channel.encoding)
                 known = found.get(channel.topic)
                 info = TopicInfo(name=channel.topic, message_type=channel.message_type, kind=kind, count=channel.count)
@@ -202,7 +210,7 @@ class RosbagSource:
     @property
     def span_ns(self) -> tuple[int, int]:
         """First and last time of reception in the recording [ns]."""
-        spans = [(s.start_ns, s.end_ns) for s, _ in self._storages if s.end_ns > 0]
+        spans = [(p.storage.start_ns, p.storage.end_ns) for p in self._parts if p.storage.end_ns > 0]
         return (min(a for a, _ in spans), max(b for _, b in spans)) if spans else (0, 0)
 
     def messages(self, topics: frozenset[str], start_ns: int = 0) -> Iterator[RawMessage]:
@@ -225,17 +233,15 @@ class RosbagSource:
             except MALFORMED as error:
                 if channel.message_type in PACKET_DRIVERS and channel.message_type not in packets:
                     raise
-                message = f"a message on {channel.topic} cannot be decoded ({error}); such messages are skipped"
-                if not any(e.code == "bad-message" and channel.topic in e.message for e in self.events):
-                    self.events.append(Event(code="bad-message", message=message, stamp_ns=received_ns))
+                note_bad_message(self.events, channel.topic, received_ns, error)
         for decoder in packets.values():
             yield from decoder.finish()
 
     def _payloads(self, topics: frozenset[str], start_ns: int) -> Iterator[RawBytes]:
         streams = [
-            (max(storage.start_ns, start_ns), partial(_read, storage, zstd, topics, start_ns))
-            for storage, zstd in self._storages
-            if storage.end_ns >= start_ns
+            (max(part.storage.start_ns, start_ns), partial(_read, part, topics, start_ns, self.events))
+            for part in self._parts
+            if part.storage.end_ns >= start_ns
         ]
         return merge_lazily(streams, key=lambda item: item[1])
 
@@ -259,9 +265,9 @@ class RosbagSource:
 
     def close(self) -> None:
         """Release the files."""
-        for storage, _ in self._storages:
-            storage.close()
-        self._storages = []
+        for part in self._parts:
+            part.storage.close()
+        self._parts = []
         if self._folder is not None:
             self._folder.cleanup()
             self._folder = None
@@ -275,6 +281,21 @@ def _kind(topic: str, message_type: str, encoding: str) -> str:
     return KINDS.get(message_type, "other")
 
 
-def _read(storage: Storage, zstd_messages: bool, topics: frozenset[str], start_ns: int) -> Iterator[RawBytes]:
-    for channel, received_ns, payload in storage.messages(topics, start_ns):
-        yield channel, received_ns, memoryview(zstd_decompress(payload)) if zstd_messages else payload
+def _read(part: _OpenPart, topics: frozenset[str], start_ns: int, events: list[Event]) -> Iterator[RawBytes]:
+    for channel, received_ns, payload in part.storage.messages(topics, start_ns):
+        if not part.zstd_messages:
+            yield channel, received_ns, payload
+            continue
+        try:
+            content = memoryview(zstd_decompress(payload))
+        except ValueError as error:
+            note_bad_message(events, channel.topic, received_ns, error)
+            continue
+        yield channel, received_ns, content
+
+
+def note_bad_message(events: list[Event], topic: str, received_ns: int, error: Exception) -> None:
+    """Report the first message of a topic that cannot be decoded."""
+    if not any(event.code == "bad-message" and f" {topic} " in event.message for event in events):
+        message = f"a message on {topic} cannot be decoded ({error}); such messages are skipped"
+        events.append(Event(code="bad-message", message=message, stamp_ns=received_ns))

@@ -39,6 +39,8 @@ class PointTiming:
         From one sweep to the next [ns].
     direction : int
         +1 where the azimuth grows during a sweep, else -1.
+    azimuth : float or None
+        At which every sweep starts [rad]; None: at its first stored point's.
     stamp : str
         ``"header"``, or ``"received"`` where headers carry no usable stamp.
     """
@@ -50,18 +52,19 @@ class PointTiming:
     shift_ns: int = 0
     period_ns: int = 100_000_000
     direction: int = 1
+    azimuth: float | None = None
     stamp: str = "header"
 
 
-def valid_points(cloud: RawCloud) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+def valid_points(cloud: RawCloud) -> tuple[NDArray[np.float32], NDArray[np.intp] | None]:
     """Return the finite, non-zero points of a cloud and which they are.
 
     Returns
     -------
     points : (N, 3) float32
         In the lidar frame [m].
-    valid : (M,) bool or None
-        Over the cloud's points in storage order; None when all are valid.
+    kept : (N,) intp or None
+        Their indices in storage order; None when all points are valid.
     """
     try:
         axes = [cloud.columns[name] for name in ("x", "y", "z")]
@@ -76,14 +79,15 @@ def valid_points(cloud: RawCloud) -> tuple[NDArray[np.float32], NDArray[np.bool_
     extent += np.abs(points[:, 1])
     extent += np.abs(points[:, 2])
     valid = (extent > 0.0) & (extent < np.inf)  # NaN compares false with both
-    if valid.all():
+    kept = np.flatnonzero(valid)  # taking by index is several times as fast as masking
+    if len(kept) == len(points):
         return points, None
-    return points[valid], valid
+    return points.take(kept, axis=0), kept
 
 
-def _column(cloud: RawCloud, name: str, valid: NDArray[np.bool_] | None) -> NDArray[np.generic]:
+def _column(cloud: RawCloud, name: str, kept: NDArray[np.intp] | None) -> NDArray[np.generic]:
     column = cloud.columns[name].reshape(-1)
-    return column if valid is None else column[valid]
+    return column if kept is None else column.take(kept)
 
 
 def to_scan(cloud: RawCloud, timing: PointTiming) -> Scan:
@@ -102,15 +106,15 @@ def to_scan(cloud: RawCloud, timing: PointTiming) -> Scan:
         Without points that are NaN, infinite or zero, or whose time is not within 2 s of the sweep's start.
     """
     header_ns = cloud.stamp_ns if timing.stamp == "header" else cloud.received_ns
-    points, valid = valid_points(cloud)
+    points, kept = valid_points(cloud)
     if timing.method == "field" and timing.field in cloud.columns:
-        start_ns, offsets, inside = _field_times(_column(cloud, timing.field, valid), timing, header_ns)
+        start_ns, offsets, inside = _field_times(_column(cloud, timing.field, kept), timing, header_ns)
     else:
-        start_ns, offsets, inside = header_ns - timing.shift_ns, _geometric_offsets(cloud, points, valid, timing), None
+        start_ns, offsets, inside = header_ns - timing.shift_ns, _geometric_offsets(cloud, points, kept, timing), None
     intensity = next((n for n in INTENSITY_FIELDS if n in cloud.columns), None)
     ring = next((n for n in RING_FIELDS if n in cloud.columns and cloud.columns[n].dtype.kind in "iu"), None)
-    intensities = _column(cloud, intensity, valid).astype(np.float32) if intensity else None
-    rings = _column(cloud, ring, valid).astype(np.uint16) if ring else None
+    intensities = _column(cloud, intensity, kept).astype(np.float32) if intensity else None
+    rings = _column(cloud, ring, kept).astype(np.uint16) if ring else None
     if inside is not None:
         points, offsets = points[inside], offsets[inside]
         intensities = None if intensities is None else intensities[inside]
@@ -171,34 +175,33 @@ def _exact_ns(value: float | np.generic, ns_per_unit: float) -> int:
 
 
 def _geometric_offsets(
-    cloud: RawCloud, points: NDArray[np.float32], valid: NDArray[np.bool_] | None, timing: PointTiming
+    cloud: RawCloud, points: NDArray[np.float32], kept: NDArray[np.intp] | None, timing: PointTiming
 ) -> NDArray[np.int32]:
     if timing.method == "columns" and cloud.columns["x"].ndim == 2:
         height, width = cloud.columns["x"].shape
         column_ns = (np.arange(width) * (timing.period_ns / width)).astype(np.int32)
         offsets = np.broadcast_to(column_ns, (height, width)).reshape(-1)
-        return np.ascontiguousarray(offsets if valid is None else offsets[valid])
+        return np.ascontiguousarray(offsets if kept is None else offsets[kept])
     if timing.method == "azimuth" and len(points):
-        return azimuth_offsets(points, timing.direction, timing.period_ns)
+        return azimuth_offsets(points, timing)
     return np.zeros(len(points), np.int32)
 
 
-def azimuth_offsets(points: NDArray[np.float32], direction: int, period_ns: int) -> NDArray[np.int32]:
-    """Return times from the azimuth, counted from the first stored point's.
+def azimuth_offsets(points: NDArray[np.float32], timing: PointTiming) -> NDArray[np.int32]:
+    """Return the time of each point since its sweep's start, from its azimuth.
 
     Parameters
     ----------
     points : (N, 3) float32
-        Of a spinning lidar, in its frame [m].
-    direction : int
-        +1 where the azimuth grows with time.
-    period_ns : int
-        Of a turn [ns].
+        Of a spinning lidar, in its frame [m]; N > 0.
+    timing : PointTiming
+        Direction, starting azimuth and period.
     """
     azimuth = np.arctan2(points[:, 1], points[:, 0])
+    origin = azimuth[0] if timing.azimuth is None else np.float32(timing.azimuth)
     turn = np.float32(2 * np.pi)
-    phase = np.mod(direction * (azimuth - azimuth[0]), turn) / turn
-    # Points a hair before the first one belong to the sweep's start, not to its end.
-    phase[phase > 0.999] = 0.0
-    offsets: NDArray[np.int32] = (phase * np.float32(period_ns)).astype(np.int32)
+    phase = np.mod(timing.direction * (azimuth - origin), turn) / turn
+    # Points a hair before the origin belong to the sweep's start, not to its end.
+    phase[phase > 0.9995] = 0.0
+    offsets: NDArray[np.int32] = (phase * np.float32(timing.period_ns)).astype(np.int32)
     return offsets

@@ -15,7 +15,17 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-__all__ = ["Channel", "RawBytes", "Storage", "merge_lazily", "note", "ros2_name", "zstd_decompress", "zstd_open"]
+__all__ = [
+    "Channel",
+    "RawBytes",
+    "Storage",
+    "merge_lazily",
+    "note",
+    "ros2_name",
+    "zstd_beginning",
+    "zstd_decompress",
+    "zstd_open",
+]
 
 T = TypeVar("T")
 
@@ -109,8 +119,20 @@ def merge_lazily(sources: Iterable[tuple[int, Callable[[], Iterator[T]]]], key: 
 
 
 def zstd_decompress(data: bytes | memoryview) -> bytes:
-    """Return the content of zstd frames."""
-    content: bytes = zstd.decompress(data)
+    """Return the content of zstd frames; ValueError where they are damaged."""
+    try:
+        content: bytes = zstd.decompress(data)
+    except zstd.ZstdError as error:
+        raise ValueError(str(error)) from error
+    return content
+
+
+def zstd_beginning(data: bytes | memoryview) -> bytes:
+    """Return what a zstd frame that is cut off still holds."""
+    try:
+        content: bytes = zstd.ZstdDecompressor().decompress(data)
+    except zstd.ZstdError as error:
+        raise ValueError(str(error)) from error
     return content
 
 

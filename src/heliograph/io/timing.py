@@ -20,7 +20,6 @@ from heliograph.io.scans import PointTiming, valid_points
 __all__ = ["TimingResult", "infer_timing"]
 
 DEFAULT_PERIOD_NS = 100_000_000
-REFERENCES = ("start", "middle", "end", "absolute")
 NEAR_NS = 10_000_000_000  # an absolute time further than this from the header stamp counts in another clock
 
 
@@ -55,10 +54,11 @@ def infer_timing(clouds: Sequence[RawCloud], config: InputConfig) -> TimingResul
     Raises
     ------
     ConfigError
-        An override names an unknown field, unit or reference.
+        The overriding field does not exist.
     DataError
-        The header stamps run backwards.
+        The clouds have no coordinates, or their header stamps run backwards.
     """
+    valid_points(clouds[0])  # refuses a cloud without coordinates
     stamp, events = _stamp_source(clouds)
     period_ns, inferences = _period(clouds, stamp)
     field = _field(clouds, config)
@@ -120,10 +120,10 @@ def _measure(clouds: Sequence[RawCloud], field: str, stamp: str) -> _Spans | Non
     rows = []
     for cloud in clouds:
         column = cloud.columns.get(field)
-        _, valid = valid_points(cloud)
+        _, kept = valid_points(cloud)
         if column is None or column.dtype.kind not in "iuf":
             continue
-        times = column.reshape(-1) if valid is None else column.reshape(-1)[valid]
+        times = column.reshape(-1) if kept is None else column.reshape(-1)[kept]
         if times.dtype.kind == "f":
             times = times[np.isfinite(times)]
         if len(times) > 1:
@@ -155,10 +155,6 @@ def _unit(spans: _Spans, period_ns: int, layout: Layout | None, override: str) -
     span = float(np.median((spans.last - spans.first)[spans.last > spans.first]))
     ratios = {unit: span * ns / period_ns for unit, ns in UNITS.items()}
     if override:
-        if override not in UNITS:
-            raise ConfigError(
-                f"input.point_time_unit: '{override}' is not one of {', '.join(UNITS)}{closest(override, UNITS)}"
-            )
         text = f"the sweep spans {ratios[override]:.3g} periods in it"
         return override, inferred("point time unit", override, text, source="override"), []
     unit = min(ratios, key=lambda u: abs(math.log10(ratios[u])))
@@ -183,8 +179,6 @@ def _reference(
     timing: PointTiming, spans: _Spans, clouds: Sequence[RawCloud], override: str
 ) -> tuple[PointTiming, list[Inference], list[Event]]:
     """Decide from when the times count, and so what the header stamp means."""
-    if override and override not in REFERENCES:
-        raise ConfigError(f"input.point_time_reference: '{override}' is not one of {', '.join(REFERENCES)}")
     scale = timing.ns_per_unit
     low, high = float(np.median(spans.first)) * scale, float(np.median(spans.last)) * scale
     span = high - low
@@ -282,6 +276,8 @@ def _without_field(clouds: Sequence[RawCloud], base: PointTiming, field: str | N
     cause = f"field '{field}' is constant" if field else f"none of the fields {list(clouds[0].columns)} is a time"
     method, direction, evidence = _sweep_geometry(clouds)
     timing = replace(base, method=method, direction=direction)
+    if method == "azimuth":
+        timing = replace(timing, azimuth=_first_azimuth(clouds, direction))
     value = {"columns": "none: inferred from the column", "azimuth": "none: inferred from the azimuth", "none": "none"}[
         method
     ]
@@ -304,6 +300,15 @@ def _sweep_geometry(clouds: Sequence[RawCloud]) -> tuple[str, int, str]:
     if votes[0][0] == "none" or len(agreed) < len(votes):
         return "none", 1, "no steady turn in the azimuths" if votes[0][0] == "none" else "the scans disagree"
     return votes[0]
+
+
+def _first_azimuth(clouds: Sequence[RawCloud], direction: int) -> float | None:
+    """Return the azimuth at which all sweeps start, None where they start anywhere."""
+    firsts = [points[0] for points, _ in map(valid_points, clouds) if len(points)]
+    azimuths = np.array([math.atan2(y, x) for x, y, _ in firsts])
+    spread = np.angle(np.exp(1j * (azimuths - azimuths[0])))
+    # The first beam of a sweep may be lost, so that a sweep seems to start late but never early.
+    return float(azimuths[0] + direction * (direction * spread).min()) if np.ptp(spread) < 0.1 else None
 
 
 def _turn(cloud: RawCloud) -> tuple[str, int, str]:

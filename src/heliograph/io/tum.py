@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.data import Trajectory
 from heliograph.errors import FormatError
 from heliograph.io.atomic import atomic_path
-from heliograph.io.rotations import quaternions_from_rotations, rotations_from_quaternions
 from heliograph.io.rows import RowFile
+from heliograph.lie import so3
 
 __all__ = ["TumWriter", "parse_seconds", "read_kitti", "read_tum", "write_tum"]
 
@@ -34,7 +34,7 @@ def _format_rows(stamps_ns: NDArray[np.int64], T_frame_body: NDArray[np.float64]
         (magnitude // _NS).tolist(),
         (magnitude % _NS).tolist(),
         *T_frame_body[:, :3, 3].T.tolist(),
-        *quaternions_from_rotations(T_frame_body[:, :3, :3]).T.tolist(),
+        *so3.to_quaternion(T_frame_body[:, :3, :3]).T.tolist(),
     )
     flat: list[object] = [None] * (len(columns) * len(stamps_ns))
     for index, column in enumerate(columns):
@@ -147,7 +147,7 @@ def read_tum(path: Path | str, frame: str = "map", body: str = "imu") -> Traject
     _check_order(path, lines, stamps_ns)
     T_frame_body = np.tile(np.eye(4), (len(values), 1, 1))
     T_frame_body[:, :3, 3] = values[:, :3]
-    T_frame_body[:, :3, :3] = rotations_from_quaternions(values[:, 3:])
+    T_frame_body[:, :3, :3] = so3.from_quaternion(values[:, 3:])
     return Trajectory(stamps_ns=stamps_ns, T_frame_body=T_frame_body, frame=frame, body=body)
 
 
@@ -191,7 +191,7 @@ def read_kitti(
     defect = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
     proper = (defect < _MAX_ROTATION_DEFECT) & (np.linalg.det(R) > 0)
     _check_rows(path, lines, proper, "holds a matrix whose left 3x3 block is no rotation")
-    T_frame_body[:, :3, :3] = rotations_from_quaternions(quaternions_from_rotations(R))
+    T_frame_body[:, :3, :3] = so3.project(R)
     stamps_ns = _kitti_stamps(times, len(rows))
     if len(stamps_ns) != len(rows):
         raise FormatError(path, f"holds {len(rows)} poses, but there are {len(stamps_ns)} stamps")

@@ -46,14 +46,15 @@ class VelodyneDecoder:
 
     Notes
     -----
-    The decoder's ``time`` column counts from the sweep's stamp, its end: it is negative, as with the ROS driver.
+    Sweeps are stamped at their first packet, from which the ``time`` column counts [s]. (The ROS driver stamps the last
+    one by default, but then a sweep that the capture cuts short comes too early.)
     """
 
     def __init__(
         self, topic: str, frame_id: str = LIDAR_FRAME, device_clock: bool = False, calibration_from: Path | None = None
     ) -> None:
         module = velodyne_decoder()
-        config = module.Config()
+        config = module.Config(timestamp_first_packet=True)
         if calibration_from is not None:
             try:
                 config.model, config.calibration = module.hdl64e.detect_hdl64e(calibration_from)
