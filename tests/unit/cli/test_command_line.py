@@ -31,6 +31,12 @@ def recording(tmp_path_factory):
 
 
 @pytest.fixture
+def no_report(monkeypatch):
+    """Leave out the pictures: a second a run, and they have their own tests."""
+    monkeypatch.setattr("heliograph.report.write_report", lambda _: [])
+
+
+@pytest.fixture
 def call(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
@@ -55,7 +61,7 @@ def test_run_writes_the_contract_files_into_the_default_folder(call, recording, 
     assert len(rows) == json.loads((folder / "run.json").read_text())["scans"]
 
 
-def test_run_json_is_one_object_and_the_same_as_the_file(call, recording, tmp_path):
+def test_run_json_is_one_object_and_the_same_as_the_file(call, recording, tmp_path, no_report):
     code, out, err = call("run", recording, "-o", "out", "--json")
     facts = json.loads(out)
     assert code == 0 and facts == json.loads((tmp_path / "out" / "run.json").read_text())
@@ -63,11 +69,11 @@ def test_run_json_is_one_object_and_the_same_as_the_file(call, recording, tmp_pa
     assert "distance" not in err
 
 
-def test_run_quiet_says_nothing_about_a_good_run(call, recording):
+def test_run_quiet_says_nothing_about_a_good_run(call, recording, no_report):
     assert call("run", recording, "--quiet") == (0, "", "")
 
 
-def test_run_options_reach_the_resolved_configuration(call, recording, tmp_path):
+def test_run_options_reach_the_resolved_configuration(call, recording, tmp_path, no_report):
     (tmp_path / "base.toml").write_text("threads = 2\n[output]\nmap_voxel = 0.5\nmap_format = 'pcd'\n")
     call("run", recording, "-o", "out", "-q", "--config", "base.toml", "--set", "output.map_voxel=0.3", "--threads", 1)
     config = load_config(tmp_path / "out" / "config.toml")
@@ -75,14 +81,14 @@ def test_run_options_reach_the_resolved_configuration(call, recording, tmp_path)
     assert (tmp_path / "out" / "map.pcd").exists() and not (tmp_path / "out" / "map.ply").exists()
 
 
-def test_run_same_bits_with_one_thread_and_two(call, recording, tmp_path):
+def test_run_same_bits_with_one_thread_and_two(call, recording, tmp_path, no_report):
     for threads in (1, 2):
         assert call("run", recording, "-o", f"out{threads}", "-q", "--threads", threads)[0] == 0
     for name in ("trajectory.tum", "trajectory_imu_rate.tum", "map.ply"):
         assert (tmp_path / "out1" / name).read_bytes() == (tmp_path / "out2" / name).read_bytes(), name
 
 
-def test_run_frame_lidar_moves_the_rows_by_the_mounting(call, recording, tmp_path):
+def test_run_frame_lidar_moves_the_rows_by_the_mounting(call, recording, tmp_path, no_report):
     call("run", recording, "-o", "imu", "-q")
     call("run", recording, "-o", "lidar", "-q", "--frame", "lidar")
     imu, lidar = (read_tum(tmp_path / body / "trajectory.tum").T_frame_body for body in ("imu", "lidar"))
@@ -91,7 +97,7 @@ def test_run_frame_lidar_moves_the_rows_by_the_mounting(call, recording, tmp_pat
     np.testing.assert_allclose(lidar, imu @ T_imu_lidar, atol=1e-7)
 
 
-def test_run_start_and_duration_use_a_part(call, recording, tmp_path):
+def test_run_start_and_duration_use_a_part(call, recording, tmp_path, no_report):
     _, out, _ = call("run", recording, "-o", "part", "--json", "--start", 1, "--duration", 2)
     assert json.loads(out)["duration_s"] == pytest.approx(2.0, abs=0.25)
 
@@ -125,7 +131,7 @@ def test_run_interrupted_saves_what_is_done_and_exits_130(call, recording, tmp_p
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_run_on_a_full_disk_leaves_valid_files_and_one_line(call, recording, tmp_path):
+def test_run_on_a_full_disk_leaves_valid_files_and_one_line(call, recording, tmp_path, no_report):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, limits[1]))  # every file ends at 40 KB: the map does not fit
     try:
