@@ -27,6 +27,9 @@ using Matrix3 = Array<const double, nb::shape<3, 3>>;
 using Vector3 = Array<const double, nb::shape<3>>;
 using Rotations = Array<const double, nb::shape<-1, 3, 3>>;
 
+// Several results at once; the Python wrapper names them.
+using Tuple = nb::typed<nb::tuple, nb::any, nb::ellipsis>;
+
 template <typename T, typename... Extra>
 std::span<const T> span_of(const Array<const T, Extra...>& array) {
   return {array.data(), array.size()};

@@ -9,7 +9,7 @@ namespace {
 using Basis = Array<const double, nb::shape<3, 2>>;
 using Doubles = Array<const double, nb::shape<-1>>;
 
-nb::tuple propagate_state(const Stamps& stamps, const Vectors& gyro, const Vectors& accel, int64_t t0_ns, int64_t t1_ns,
+Tuple propagate_state(const Stamps& stamps, const Vectors& gyro, const Vectors& accel, int64_t t0_ns, int64_t t1_ns,
                           const Matrix3& R, const Vectors& vectors, const Basis& g_basis, const Doubles& model) {
   if (stamps.size() == 0 || gyro.shape(0) != stamps.size() || accel.shape(0) != stamps.size())
     throw std::invalid_argument("one rate and one specific force a stamp are needed, and at least one");
@@ -31,10 +31,10 @@ nb::tuple propagate_state(const Stamps& stamps, const Vectors& gyro, const Vecto
   using RowMajor = Eigen::Matrix<double, kNavDim, kNavDim, Eigen::RowMajor>;
   Eigen::Map<RowMajor>(transition.data()) = out.transition;
   Eigen::Map<RowMajor>(covariance.data()) = out.noise;
-  return nb::make_tuple(to_numpy<int64_t>(std::move(out.stamps_ns), {n}), to_numpy<double>(std::move(out.R), {n, 3, 3}),
+  return Tuple(nb::make_tuple(to_numpy<int64_t>(std::move(out.stamps_ns), {n}), to_numpy<double>(std::move(out.R), {n, 3, 3}),
                         to_numpy<double>(std::move(out.p), {n, 3}), to_numpy<double>(std::move(out.v), {n, 3}),
                         to_numpy<double>(std::move(transition), {kNavDim, kNavDim}),
-                        to_numpy<double>(std::move(covariance), {kNavDim, kNavDim}), out.held_s);
+                        to_numpy<double>(std::move(covariance), {kNavDim, kNavDim}), out.held_s));
 }
 
 }  // namespace

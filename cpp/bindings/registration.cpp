@@ -6,12 +6,12 @@ namespace heliograph {
 
 namespace {
 
-nb::tuple to_tuple(const NormalEquations& sums, int columns) {
+Tuple to_tuple(const NormalEquations& sums, int columns) {
   const auto n = static_cast<size_t>(columns);
   std::vector<double> information(sums.information, sums.information + n * n);
   std::vector<double> gradient(sums.gradient, sums.gradient + n);
-  return nb::make_tuple(to_numpy<double>(std::move(information), {n, n}), to_numpy<double>(std::move(gradient), {n}),
-                        sums.weight, sums.robust_weight, sums.square, sums.cost, sums.matches, sums.fallback_matches);
+  return Tuple(nb::make_tuple(to_numpy<double>(std::move(information), {n, n}), to_numpy<double>(std::move(gradient), {n}),
+                        sums.weight, sums.robust_weight, sums.square, sums.cost, sums.matches, sums.fallback_matches));
 }
 
 void check(const MatchSettings& s) {
@@ -25,30 +25,38 @@ MatchSettings settings(double gate, double kernel, double sigma, int stride, dou
   return s;
 }
 
-nb::tuple planes(const VoxelMap& map, const Points& points, const Matrix4& T_odom_body, const Matrix4& T_body_lidar,
-                 double gate, double kernel, double sigma, int fallback_stride, double fallback_range, int columns,
-                 int threads) {
+MatchScan match_scan(const Points& points, const Floats& before_end, const Matrix4& T_odom_body, const Matrix4& T_body_lidar) {
+  if (before_end.size() != 0 && before_end.size() != points.shape(0))
+    throw std::invalid_argument("before_end needs one time a point, or none");
+  return {span_of(points), span_of(before_end), T_odom_body.data(), T_body_lidar.data()};
+}
+
+Tuple planes(const VoxelMap& map, const Points& points, const Floats& before_end, const Matrix4& T_odom_body,
+                 const Matrix4& T_body_lidar, double gate, double kernel, double sigma, int fallback_stride,
+                 double fallback_range, int columns, int threads) {
   const MatchSettings s = settings(gate, kernel, sigma, fallback_stride, fallback_range, columns);
+  const MatchScan scan = match_scan(points, before_end, T_odom_body, T_body_lidar);
   NormalEquations sums;
   {
     nb::gil_scoped_release release;
-    sums = match_planes(map, span_of(points), T_odom_body.data(), T_body_lidar.data(), s, threads);
+    sums = match_planes(map, scan, s, threads);
   }
   return to_tuple(sums, columns);
 }
 
-nb::tuple nearest_points(const VoxelMap& map, const Points& points, const Matrix4& T_odom_body, double gate,
-                         double kernel, double sigma, int threads) {
-  const MatchSettings s = settings(gate, kernel, sigma, 0, gate, 6);
+Tuple nearest_points(const VoxelMap& map, const Points& points, const Floats& before_end, const Matrix4& T_odom_body,
+                         const Matrix4& T_body_lidar, double gate, double kernel, double sigma, int columns, int threads) {
+  const MatchSettings s = settings(gate, kernel, sigma, 0, gate, columns);
+  const MatchScan scan = match_scan(points, before_end, T_odom_body, T_body_lidar);
   NormalEquations sums;
   {
     nb::gil_scoped_release release;
-    sums = match_points(map, span_of(points), T_odom_body.data(), s, threads);
+    sums = match_points(map, scan, s, threads);
   }
-  return to_tuple(sums, 6);
+  return to_tuple(sums, columns);
 }
 
-nb::tuple query(const VoxelMap& map, const Vectors& points, double gate, int fallback_stride, double fallback_range) {
+Tuple query(const VoxelMap& map, const Vectors& points, double gate, int fallback_stride, double fallback_range) {
   const size_t n = points.shape(0);
   std::vector<float> normal(3 * n), variance(n);
   std::vector<double> point(3 * n);
@@ -58,19 +66,20 @@ nb::tuple query(const VoxelMap& map, const Vectors& points, double gate, int fal
     query_planes(map, span_of(points), settings(gate, 0.0, 1.0, fallback_stride, fallback_range, 6),
                  {normal.data(), point.data(), variance.data(), source.data()});
   }
-  return nb::make_tuple(to_numpy<float>(std::move(normal), {n, 3}), to_numpy<double>(std::move(point), {n, 3}),
-                        to_numpy<float>(std::move(variance), {n}), to_numpy<uint8_t>(std::move(source), {n}));
+  return Tuple(nb::make_tuple(to_numpy<float>(std::move(normal), {n, 3}), to_numpy<double>(std::move(point), {n, 3}),
+                        to_numpy<float>(std::move(variance), {n}), to_numpy<uint8_t>(std::move(source), {n})));
 }
 
 }  // namespace
 
 void bind_registration(nb::module_& m) {
   using namespace nb::literals;
-  m.def("match_planes", &planes, "map"_a, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(),
-        "T_body_lidar"_a.noconvert(), "gate"_a, "kernel"_a, "sigma"_a, "fallback_stride"_a, "fallback_range"_a,
-        "columns"_a, "threads"_a);
-  m.def("match_points", &nearest_points, "map"_a, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "gate"_a,
-        "kernel"_a, "sigma"_a, "threads"_a);
+  m.def("match_planes", &planes, "map"_a, "points_body"_a.noconvert(), "before_end"_a.noconvert(),
+        "T_odom_body"_a.noconvert(), "T_body_lidar"_a.noconvert(), "gate"_a, "kernel"_a, "sigma"_a, "fallback_stride"_a,
+        "fallback_range"_a, "columns"_a, "threads"_a);
+  m.def("match_points", &nearest_points, "map"_a, "points_body"_a.noconvert(), "before_end"_a.noconvert(),
+        "T_odom_body"_a.noconvert(), "T_body_lidar"_a.noconvert(), "gate"_a, "kernel"_a, "sigma"_a, "columns"_a,
+        "threads"_a);
   m.def("query_planes", &query, "map"_a, "points_odom"_a.noconvert(), "gate"_a, "fallback_stride"_a, "fallback_range"_a);
 }
 

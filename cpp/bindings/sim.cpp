@@ -28,7 +28,7 @@ void make_scene(sim::Scene* self, const Packed& packed, const Shapes& shapes) {
   new (self) sim::Scene(std::move(primitives));
 }
 
-nb::tuple cast(const sim::Scene& scene, const Directions& directions, const Poses& T_world_sensor, double min_range,
+Tuple cast(const sim::Scene& scene, const Directions& directions, const Poses& T_world_sensor, double min_range,
                double max_range, int threads) {
   const size_t rows = directions.shape(0), columns = directions.shape(1), n = rows * columns;
   if (T_world_sensor.shape(0) != columns) throw nb::value_error("one pose a column is needed");
@@ -45,9 +45,9 @@ nb::tuple cast(const sim::Scene& scene, const Directions& directions, const Pose
                            .max_range = max_range};
     sim::cast_sweep(scene, sweep, threads, range, brightness, id);
   }
-  return nb::make_tuple(to_numpy<double, nb::ndim<2>>(std::move(range), {rows, columns}),
+  return Tuple(nb::make_tuple(to_numpy<double, nb::ndim<2>>(std::move(range), {rows, columns}),
                         to_numpy<float, nb::ndim<2>>(std::move(brightness), {rows, columns}),
-                        to_numpy<int32_t, nb::ndim<2>>(std::move(id), {rows, columns}));
+                        to_numpy<int32_t, nb::ndim<2>>(std::move(id), {rows, columns})));
 }
 
 }  // namespace

@@ -218,28 +218,49 @@ inline void rotate_back(const double* T, const double* n, double* out) {
   for (int i = 0; i < 3; ++i) out[i] = T[i] * n[0] + T[4 + i] * n[1] + T[8 + i] * n[2];
 }
 
-// Row of the residual n.(R p + t - c) by (rotation, position[, mounting rotation, lever arm]), right perturbations.
-inline void jacobian_row(const MatchInput& in, const float* p, const double* n, double* J) {
-  double m[3];  // the normal in the body frame
-  rotate_back(in.T_odom_body, n, m);
+// Row of the residual n.(R p + t - c) by rotation and position, right perturbations.
+inline void pose_row(const MatchInput& in, const float* p, const double* n, double* m, double* J) {
+  rotate_back(in.T_odom_body, n, m);  // the normal in the body frame
   J[0] = p[1] * m[2] - p[2] * m[1];
   J[1] = p[2] * m[0] - p[0] * m[2];
   J[2] = p[0] * m[1] - p[1] * m[0];
   J[3] = n[0];
   J[4] = n[1];
   J[5] = n[2];
-  if (in.columns == 6) return;
+}
+
+// ... by the mounting's rotation and lever arm.
+inline void mounting_row(const MatchInput& in, const float* p, const double* m, double* J) {
   const double* E = in.T_body_lidar;
   const double d[3] = {p[0] - E[3], p[1] - E[7], p[2] - E[11]};
   double l[3], k[3];
   rotate_back(E, d, l);
   rotate_back(E, m, k);
-  J[6] = l[1] * k[2] - l[2] * k[1];
-  J[7] = l[2] * k[0] - l[0] * k[2];
-  J[8] = l[0] * k[1] - l[1] * k[0];
-  J[9] = m[0];
-  J[10] = m[1];
-  J[11] = m[2];
+  J[0] = l[1] * k[2] - l[2] * k[1];
+  J[1] = l[2] * k[0] - l[0] * k[2];
+  J[2] = l[0] * k[1] - l[1] * k[0];
+  J[3] = m[0];
+  J[4] = m[1];
+  J[5] = m[2];
+}
+
+// ... by velocity and gyroscope bias: a point measured dt before the sweep's end was carried back by both.
+inline void motion_row(double dt, const double* n, const double* rotation, double* J) {
+  for (int i = 0; i < 3; ++i) {
+    J[i] = -dt * n[i];
+    J[3 + i] = dt * rotation[i];
+  }
+}
+
+inline void jacobian_row(const MatchInput& in, uint64_t k, const float* p, const double* n, double* J) {
+  double m[3];
+  pose_row(in, p, n, m, J);
+  if (in.columns == 6) return;
+  if (in.before_end != nullptr) {
+    motion_row(in.before_end[k], n, J, J + 6);
+  } else {
+    mounting_row(in, p, m, J + 6);
+  }
 }
 
 inline void accumulate(const double* J, int columns, double r, double w, double inv_var, NormalSums* sums) {
@@ -284,7 +305,7 @@ inline void planes_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
     const double r = n[0] * plane.offset[0] + n[1] * plane.offset[1] + n[2] * plane.offset[2];
     const double inv_var = 1.0 / (in.sigma * in.sigma + static_cast<double>(plane.variance));
     double J[12];
-    jacobian_row(in, p, n, J);
+    jacobian_row(in, k, p, n, J);
     accumulate(J, in.columns, r, robust_weight(r, in.kernel), inv_var, sums);
     sums->cost += robust_cost(r, in.kernel) * inv_var;
     sums->matches += 1;
@@ -306,7 +327,7 @@ inline void points_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
     for (int i = 0; i < 3; ++i) {
       const double n[3] = {i == 0 ? 1.0 : 0.0, i == 1 ? 1.0 : 0.0, i == 2 ? 1.0 : 0.0};
       double J[12];
-      jacobian_row(in, p, n, J);
+      jacobian_row(in, k, p, n, J);
       accumulate(J, in.columns, -static_cast<double>(best.offset[0][i]), w, inv_var, sums);
     }
     sums->cost += robust_cost(distance, in.kernel) * inv_var;

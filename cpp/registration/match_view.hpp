@@ -30,6 +30,7 @@ struct MapView {
 struct MatchInput {
   MapView map;
   const float* points;
+  const float* before_end;  // null: the second six columns are the mounting's
   const double* T_odom_body;
   const double* T_body_lidar;
   double gate, kernel, sigma, fallback_range;

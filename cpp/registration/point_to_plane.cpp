@@ -32,9 +32,17 @@ MapView view(const VoxelMap& map) {
           map.settings().levels};
 }
 
-MatchInput input(const VoxelMap& map, const float* points, const double* T_odom_body, const double* T_body_lidar,
-                 const MatchSettings& s) {
-  return {view(map), points, T_odom_body, T_body_lidar, s.gate, s.kernel, s.sigma, s.fallback_range, s.fallback_stride,
+MatchInput input(const VoxelMap& map, const MatchScan& scan, const MatchSettings& s) {
+  return {view(map),
+          scan.points_body.data(),
+          scan.before_end.empty() ? nullptr : scan.before_end.data(),
+          scan.T_odom_body,
+          scan.T_body_lidar,
+          s.gate,
+          s.kernel,
+          s.sigma,
+          s.fallback_range,
+          s.fallback_stride,
           s.columns};
 }
 
@@ -66,21 +74,17 @@ NormalEquations sum_chunks(const MatchInput& in, size_t count, int threads, Kern
 
 }  // namespace
 
-NormalEquations match_planes(const VoxelMap& map, std::span<const float> points_body, const double* T_odom_body,
-                             const double* T_body_lidar, const MatchSettings& settings, int threads) {
-  const MatchInput in = input(map, points_body.data(), T_odom_body, T_body_lidar, settings);
-  return sum_chunks(in, points_body.size() / 3, threads, kernels().planes);
+NormalEquations match_planes(const VoxelMap& map, const MatchScan& scan, const MatchSettings& settings, int threads) {
+  return sum_chunks(input(map, scan, settings), scan.points_body.size() / 3, threads, kernels().planes);
 }
 
-NormalEquations match_points(const VoxelMap& map, std::span<const float> points_body, const double* T_odom_body,
-                             const MatchSettings& settings, int threads) {
-  const MatchInput in = input(map, points_body.data(), T_odom_body, T_odom_body, settings);
-  return sum_chunks(in, points_body.size() / 3, threads, kernels().points);
+NormalEquations match_points(const VoxelMap& map, const MatchScan& scan, const MatchSettings& settings, int threads) {
+  return sum_chunks(input(map, scan, settings), scan.points_body.size() / 3, threads, kernels().points);
 }
 
 void query_planes(const VoxelMap& map, std::span<const double> points_odom, const MatchSettings& settings,
                   PlaneQuery out) {
-  const MatchInput in = input(map, nullptr, nullptr, nullptr, settings);
+  const MatchInput in = input(map, {{}, {}, nullptr, nullptr}, settings);
   kernels().query(in, points_odom.data(), 0, points_odom.size() / 3, out.normal, out.point, out.variance, out.source);
 }
 

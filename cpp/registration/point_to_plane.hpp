@@ -8,7 +8,7 @@
 
 namespace heliograph {
 
-constexpr int kMaxColumns = 12;  // rotation 3, position 3, mounting rotation 3, lever arm 3
+constexpr int kMaxColumns = 12;  // rotation 3, position 3, and six of the motion or the mounting
 
 struct MatchSettings {
   double gate;            // largest residual of a match [m]
@@ -16,7 +16,7 @@ struct MatchSettings {
   double sigma;           // of one range measurement across its plane [m]
   int fallback_stride;    // of the points without a plane, each such one asks for its neighbours; 0: none does
   double fallback_range;  // farthest neighbour [m]
-  int columns;            // 6, or 12 with the mounting
+  int columns;            // 6, or 12
 };
 
 // Sum over matches of J^T w J / s^2 and J^T w r / s^2.
@@ -31,13 +31,19 @@ struct NormalEquations {
   int64_t fallback_matches = 0;
 };
 
-// points_body: (N, 3) de-skewed; T_odom_body, T_body_lidar: row-major 4x4 (the latter is read when columns is 12).
-NormalEquations match_planes(const VoxelMap& map, std::span<const float> points_body, const double* T_odom_body,
-                             const double* T_body_lidar, const MatchSettings& settings, int threads);
+// A de-skewed scan at a pose. With 12 columns the second six are velocity and gyroscope bias where `before_end` gives each
+// point's time before the sweep's end [s], else the mounting's rotation and lever arm.
+struct MatchScan {
+  std::span<const float> points_body;  // (N, 3)
+  std::span<const float> before_end;   // (N,) or empty
+  const double* T_odom_body;           // row-major 4x4
+  const double* T_body_lidar;          // row-major 4x4
+};
+
+NormalEquations match_planes(const VoxelMap& map, const MatchScan& scan, const MatchSettings& settings, int threads);
 
 // The textbook's comparison: the nearest stored point instead of a plane.
-NormalEquations match_points(const VoxelMap& map, std::span<const float> points_body, const double* T_odom_body,
-                             const MatchSettings& settings, int threads);
+NormalEquations match_points(const VoxelMap& map, const MatchScan& scan, const MatchSettings& settings, int threads);
 
 // The plane of each point of the odom frame, if any: normal (N, 3), point on it (N, 3), variance across it at the query
 // (N,), and where it came from (N,): 0 none, 1 + level, or 255 the neighbours.

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <span>
+#include <utility>
 
 namespace heliograph::sim {
 
@@ -14,8 +16,10 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
-constexpr std::int32_t kLeafSize = 2;
-constexpr std::size_t kStackDepth = 64;
+// A level leaves at most three nodes on the stack. Below kDeepest the tree is halved whatever the areas, so that no
+// scene (not even of equal boxes) has more than kDeepest + 31 levels.
+constexpr std::size_t kStackDepth = 256;
+constexpr std::int32_t kDeepest = 48;
 
 // A hit in local coordinates: distance along the ray and the outward normal there.
 struct LocalHit {
@@ -105,98 +109,180 @@ double texture(const Primitive& p, const Vector3d& local) {
   return p.reflectivity * (parity != 0 ? 1.0 - p.contrast : 1.0);
 }
 
-// Half-extents of the axis-aligned box around an oriented one.
-Vector3d reach(const Primitive& p) {
+struct Bounds {
+  Vector3d low = Vector3d::Constant(kInfinity);
+  Vector3d high = Vector3d::Constant(-kInfinity);
+
+  void include(const Bounds& other) {
+    low = low.cwiseMin(other.low);
+    high = high.cwiseMax(other.high);
+  }
+  double area() const {
+    const Vector3d e = high - low;
+    return e.x() * e.y() + e.y() * e.z() + e.z() * e.x();
+  }
+};
+
+// The axis-aligned box around an oriented primitive.
+Bounds bounds_of(const Primitive& p) {
   Vector3d half = p.half;
   if (p.shape == Shape::rectangle) half.z() = 0.0;
   if (p.shape == Shape::cylinder) half.y() = half.x();
-  // A little slack, so that a hit on a face is never lost to rounding in the slab test.
-  return (p.R_world_local.cwiseAbs() * half).array() + 1e-9 * (1.0 + p.center.cwiseAbs().maxCoeff());
+  const Vector3d reach = p.R_world_local.cwiseAbs() * half;
+  return {p.center - reach, p.center + reach};
 }
 
-double surface_area(const Vector3d& low, const Vector3d& high) {
-  const Vector3d e = high - low;
-  return e.x() * e.y() + e.y() * e.z() + e.z() * e.x();
-}
+// A node of the binary tree: a primitive, or two children at `child` and `child + 1`.
+struct Split {
+  Bounds bounds;
+  std::int32_t primitive = -1;
+  std::int32_t child = 0;
+};
 
-// Entry distance of a ray into an axis-aligned box, or infinity when it misses it or enters beyond `limit`.
-double enter_box(const Vector3d& low, const Vector3d& high, const Vector3d& origin, const Vector3d& inverse,
-                 double limit) {
-  double enter = 0.0, leave = limit;
-  for (int axis = 0; axis < 3; ++axis) {
-    const double a = (low[axis] - origin[axis]) * inverse[axis];
-    const double b = (high[axis] - origin[axis]) * inverse[axis];
-    enter = std::max(enter, std::min(a, b));
-    leave = std::min(leave, std::max(a, b));
-  }
-  return enter <= leave ? enter : kInfinity;
-}
-
-}  // namespace
-
-Scene::Scene(std::vector<Primitive> primitives) : primitives_(std::move(primitives)), order_(primitives_.size()) {
-  std::iota(order_.begin(), order_.end(), 0);
-  for (const Primitive& p : primitives_) {
-    low_.push_back(p.center - reach(p));
-    high_.push_back(p.center + reach(p));
-  }
-  nodes_.reserve(2 * primitives_.size() + 1);
-  nodes_.emplace_back();
-  split(0, 0, static_cast<std::int32_t>(primitives_.size()));
-}
-
-// Surface-area heuristic over every split of every axis: the scenes are small, so the exact sweep costs milliseconds.
-void Scene::split(std::int32_t node, std::int32_t begin, std::int32_t end) {
-  const std::int32_t n = end - begin;
-  Vector3d low = Vector3d::Constant(kInfinity), high = Vector3d::Constant(-kInfinity);
-  for (std::int32_t i = begin; i < end; ++i) {
-    low = low.cwiseMin(low_[order_[i]]);
-    high = high.cwiseMax(high_[order_[i]]);
-  }
-  nodes_[node].low = low;
-  nodes_[node].high = high;
-  nodes_[node].first = begin;
-  nodes_[node].count = n;
-  if (n <= kLeafSize) return;
-
+// Where to cut items [begin, end) in two: the surface-area heuristic over every cut of every axis. The scenes are
+// small, so that the exact sweep costs milliseconds. Leaves the items sorted along the axis of the cut.
+std::int32_t cut(const std::vector<Bounds>& bounds, std::span<std::int32_t> items) {
   const auto sort_along = [&](int axis) {
-    std::sort(order_.begin() + begin, order_.begin() + end, [&](std::int32_t a, std::int32_t b) {
-      const double ca = low_[a][axis] + high_[a][axis], cb = low_[b][axis] + high_[b][axis];
+    std::sort(items.begin(), items.end(), [&](std::int32_t a, std::int32_t b) {
+      const double ca = bounds[a].low[axis] + bounds[a].high[axis], cb = bounds[b].low[axis] + bounds[b].high[axis];
       return ca != cb ? ca < cb : a < b;
     });
   };
+  const std::size_t n = items.size();
   double best_cost = kInfinity;
   int best_axis = 0;
-  std::int32_t best_left = n / 2;
-  std::vector<double> right_area(n + 1, 0.0);
+  std::size_t best_left = n / 2;
+  std::vector<double> right_area(n, 0.0);
   for (int axis = 0; axis < 3; ++axis) {
     sort_along(axis);
-    Vector3d l = Vector3d::Constant(kInfinity), h = Vector3d::Constant(-kInfinity);
-    for (std::int32_t i = n - 1; i > 0; --i) {
-      l = l.cwiseMin(low_[order_[begin + i]]);
-      h = h.cwiseMax(high_[order_[begin + i]]);
-      right_area[i] = surface_area(l, h);
+    Bounds right, left;
+    for (std::size_t i = n - 1; i > 0; --i) {
+      right.include(bounds[items[i]]);
+      right_area[i] = right.area();
     }
-    l = Vector3d::Constant(kInfinity), h = Vector3d::Constant(-kInfinity);
-    for (std::int32_t i = 1; i < n; ++i) {
-      l = l.cwiseMin(low_[order_[begin + i - 1]]);
-      h = h.cwiseMax(high_[order_[begin + i - 1]]);
-      const double cost = surface_area(l, h) * i + right_area[i] * (n - i);
+    for (std::size_t i = 1; i < n; ++i) {
+      left.include(bounds[items[i - 1]]);
+      const double cost = left.area() * static_cast<double>(i) + right_area[i] * static_cast<double>(n - i);
       if (cost < best_cost) best_cost = cost, best_axis = axis, best_left = i;
     }
   }
   sort_along(best_axis);
-  const auto child = static_cast<std::int32_t>(nodes_.size());
-  nodes_[node].first = child;
-  nodes_[node].count = 0;
-  nodes_.emplace_back();
-  nodes_.emplace_back();
-  split(child, begin, begin + best_left);
-  split(child + 1, begin + best_left, end);
+  return static_cast<std::int32_t>(best_left);
+}
+
+std::vector<Split> build_tree(const std::vector<Bounds>& bounds) {
+  std::vector<std::int32_t> order(bounds.size());
+  std::iota(order.begin(), order.end(), 0);
+  struct Task {
+    std::int32_t node, begin, end, level;
+  };
+  std::vector<Split> tree(1);
+  std::vector<Task> tasks{{0, 0, static_cast<std::int32_t>(bounds.size()), 0}};
+  while (!tasks.empty()) {
+    const Task task = tasks.back();
+    tasks.pop_back();
+    for (std::int32_t i = task.begin; i < task.end; ++i) tree[task.node].bounds.include(bounds[order[i]]);
+    if (task.end - task.begin == 1) {
+      tree[task.node].primitive = order[task.begin];
+      continue;
+    }
+    const std::int32_t n = task.end - task.begin;
+    const std::int32_t middle =
+        task.begin + (task.level < kDeepest ? cut(bounds, std::span(order).subspan(task.begin, n)) : n / 2);
+    const auto child = static_cast<std::int32_t>(tree.size());
+    tree[task.node].child = child;
+    tree.resize(tree.size() + 2);
+    tasks.push_back({child, task.begin, middle, task.level + 1});
+    tasks.push_back({child + 1, middle, task.end, task.level + 1});
+  }
+  return tree;
+}
+
+// Up to four nodes that together replace `node`: the largest inner one is opened as long as there is room.
+std::vector<std::int32_t> open_up(const std::vector<Split>& tree, std::int32_t node) {
+  std::vector<std::int32_t> parts{node};
+  while (parts.size() < 4) {
+    const auto largest = std::max_element(parts.begin(), parts.end(), [&](std::int32_t a, std::int32_t b) {
+      const auto size = [&](std::int32_t k) { return tree[k].primitive >= 0 ? -1.0 : tree[k].bounds.area(); };
+      return size(a) < size(b);
+    });
+    if (tree[*largest].primitive >= 0) break;
+    const std::int32_t child = tree[*largest].child;
+    *largest = child;
+    parts.push_back(child + 1);
+  }
+  return parts;
+}
+
+struct Pending {
+  std::int32_t child;
+  float enter;
+};
+
+// A ray in the form that the box test wants.
+class Ray {
+ public:
+  Ray(const Vector3d& origin, const Vector3d& direction) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const auto d = static_cast<float>(direction[axis]);
+      origin_[axis] = static_cast<float>(origin[axis]);
+      // A zero component would make 0 * infinity; a tiny one gives the same boxes.
+      inverse_[axis] = 1.0F / (std::abs(d) > 1e-30F ? d : 1e-30F);
+      near_[axis] = inverse_[axis] < 0.0F ? 1 : 0;
+    }
+  }
+
+  // Where the ray enters and leaves four boxes, both within [0, limit]; a box is missed if it leaves before it enters.
+  std::pair<Eigen::Array4f, Eigen::Array4f> through(
+      const std::array<std::array<Eigen::Array4f, 3>, 2>& bound, float limit) const {
+    Eigen::Array4f enter = Eigen::Array4f::Zero(), leave = Eigen::Array4f::Constant(limit);
+    for (int axis = 0; axis < 3; ++axis) {
+      enter = enter.max((bound[near_[axis]][axis] - origin_[axis]) * inverse_[axis]);
+      leave = leave.min((bound[1 - near_[axis]][axis] - origin_[axis]) * inverse_[axis]);
+    }
+    return {enter, leave};
+  }
+
+ private:
+  std::array<float, 3> origin_;
+  std::array<float, 3> inverse_;
+  std::array<int, 3> near_;
+};
+
+}  // namespace
+
+Scene::Scene(std::vector<Primitive> primitives) : primitives_(std::move(primitives)) {
+  if (primitives_.empty()) return;
+  std::vector<Bounds> bounds(primitives_.size());
+  std::transform(primitives_.begin(), primitives_.end(), bounds.begin(), bounds_of);
+  const std::vector<Split> tree = build_tree(bounds);
+  const float slack = 1e-5F * static_cast<float>(std::max(tree.front().bounds.low.cwiseAbs().maxCoeff(),
+                                                          tree.front().bounds.high.cwiseAbs().maxCoeff()));
+  // Each wide node takes over up to four descendants of a binary one; `origin[k]` is the binary node of wide node k.
+  std::vector<std::int32_t> origin{0};
+  for (std::size_t k = 0; k < origin.size(); ++k) {
+    Node node;
+    node.child.fill(0);
+    for (int axis = 0; axis < 3; ++axis) {
+      node.bound[0][axis].setConstant(std::numeric_limits<float>::infinity());
+      node.bound[1][axis].setConstant(-std::numeric_limits<float>::infinity());
+    }
+    int lane = 0;
+    for (const std::int32_t part : open_up(tree, origin[k])) {
+      for (int axis = 0; axis < 3; ++axis) {
+        node.bound[0][axis][lane] = static_cast<float>(tree[part].bounds.low[axis]) - slack;
+        node.bound[1][axis][lane] = static_cast<float>(tree[part].bounds.high[axis]) + slack;
+      }
+      node.child[lane++] = tree[part].primitive >= 0 ? ~tree[part].primitive : static_cast<std::int32_t>(origin.size());
+      if (tree[part].primitive < 0) origin.push_back(part);
+    }
+    nodes_.push_back(node);
+  }
 }
 
 Hit Scene::nearest(const Vector3d& origin, const Vector3d& direction, double min_range, double max_range,
                    std::int32_t hint) const {
+  if (primitives_.empty()) return {};
   std::int32_t best = -1;
   LocalHit best_hit;
   best_hit.range = max_range;
@@ -210,37 +296,28 @@ Hit Scene::nearest(const Vector3d& origin, const Vector3d& direction, double min
     if (!nearer) return;
     best = id, best_hit = hit, best_local = o + hit.range * d, best_direction = d;
   };
-  if (primitives_.empty()) return {};
   if (hint >= 0 && hint < static_cast<std::int32_t>(primitives_.size())) test(hint);
 
-  // A zero component would make 0 * infinity in the slab test; a tiny one gives the same boxes.
-  Vector3d inverse;
-  for (int axis = 0; axis < 3; ++axis) {
-    inverse[axis] = 1.0 / (std::abs(direction[axis]) > 1e-300 ? direction[axis] : 1e-300);
-  }
-  struct Pending {
-    std::int32_t node;
-    double enter;
-  };
+  const Ray ray(origin, direction);
   std::array<Pending, kStackDepth> stack;
   std::size_t depth = 0;
-  stack[depth++] = {0, 0.0};
+  stack[depth++] = {0, 0.0F};
   while (depth > 0) {
     const Pending pending = stack[--depth];
     if (pending.enter > best_hit.range) continue;
-    const Node& node = nodes_[pending.node];
-    if (node.count > 0) {
-      for (std::int32_t i = node.first; i < node.first + node.count; ++i) {
-        if (order_[i] != hint) test(order_[i]);
-      }
+    if (pending.child < 0) {
+      if (~pending.child != hint) test(~pending.child);
       continue;
     }
-    const Node &left = nodes_[node.first], &right = nodes_[node.first + 1];
-    Pending a{node.first, enter_box(left.low, left.high, origin, inverse, best_hit.range)};
-    Pending b{node.first + 1, enter_box(right.low, right.high, origin, inverse, best_hit.range)};
-    if (a.enter < b.enter) std::swap(a, b);  // the nearer child is visited first
-    if (a.enter < kInfinity) stack[depth++] = a;
-    if (b.enter < kInfinity) stack[depth++] = b;
+    const Node& node = nodes_[pending.child];
+    const auto [enter, leave] = ray.through(node.bound, static_cast<float>(best_hit.range));
+    const std::size_t base = depth;
+    for (int lane = 0; lane < 4; ++lane) {
+      if (enter[lane] > leave[lane]) continue;
+      std::size_t at = depth++;  // kept in order, so that the nearest child is visited first
+      for (; at > base && stack[at - 1].enter < enter[lane]; --at) stack[at] = stack[at - 1];
+      stack[at] = {node.child[lane], enter[lane]};
+    }
   }
   if (best < 0) return {};
   const double cosine = std::abs(best_hit.normal.dot(best_direction)) / direction.norm();

@@ -96,6 +96,9 @@ void check_sweep() {
       CHECK(id[i] == 0);
     }
   }
+  // Equal boxes: the deepest tree there can be, and every box is hit.
+  const Scene equal(std::vector<Primitive>(2000, make(Shape::box, {5, 0, 0}, {1, 1, 1})));
+  CHECK(equal.nearest(Vector3d::Zero(), Vector3d::UnitX(), 0.0, 100.0).id == 0);
   const Scene empty({});
   CHECK(empty.size() == 0);
   CHECK(empty.nearest(Vector3d::Zero(), Vector3d::UnitX(), 0.0, 100.0).id == -1);

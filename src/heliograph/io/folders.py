@@ -16,7 +16,7 @@ from heliograph.io.clouds import CLOUD_SUFFIXES, read_cloud
 from heliograph.io.extrinsic import read_extrinsic
 from heliograph.io.imu_tables import ImuTable, read_imu_table
 from heliograph.io.raw import RawCloud, RawImu, RawMessage, RawSource, TopicInfo
-from heliograph.io.stamps import parse_stamps
+from heliograph.io.stamps import is_number, parse_stamps
 
 __all__ = ["open_cloud_folder"]
 
@@ -25,6 +25,7 @@ _TIMES = ("times.txt", "timestamps.txt", "timestamps.csv", "times.csv", "stamps.
 _IMU_TABLES = ("imu.csv", "imu.txt", "imu_data.csv", "imu/data.csv", "imu/imu.csv", "imu0/data.csv")
 _EXTRINSIC = "extrinsic.toml"
 _SECONDS_AND_NANOSECONDS = re.compile(r"(\d{9,10})[_-](\d{9})")
+_NUMBER = re.compile(r"\d+(\.\d+)?")
 _ASSUMED_PERIOD_NS = 100_000_000
 _SMALLEST_STAMP = 1e8  # smaller whole numbers in file names are counters, not times since 1970
 
@@ -173,10 +174,10 @@ class _CloudFolder:
 
 
 def _listed_stamps(path: Path, clouds: Sequence[Path]) -> list[int]:
-    """Return the last column that can be a stamp of each row; a header and comments are skipped."""
-    rows = [re.split(r"[,;\s]+", line.strip()) for line in path.read_text(encoding="utf-8").splitlines()]
-    rows = [row for row in rows if row[0] and not row[0].startswith("#")]
-    if rows and not _is_number(rows[0][-1]) and not _is_number(rows[0][0]):
+    """Return the stamps of a list with one row a cloud; a header and comments are skipped."""
+    lines = [line.partition("#")[0].strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    rows = [re.split(r"[,;\s]+", line) for line in lines if line]
+    if rows and not any(is_number(word) for word in rows[0]):
         rows = rows[1:]
     if len(rows) != len(clouds):
         raise FormatError(path, f"has {len(rows)} stamps for {len(clouds)} clouds; give one row a cloud")
@@ -189,19 +190,13 @@ def _listed_stamps(path: Path, clouds: Sequence[Path]) -> list[int]:
 
 def _stamp_column(rows: Sequence[Sequence[str]]) -> int:
     """Return the first column that is not the row's own number: ``index,stamp`` tables exist."""
+    if min(len(row) for row in rows) < 2:
+        return 0
     first = [row[0] for row in rows]
-    counter = all(word.isdecimal() for word in first) and [int(word) - int(first[0]) for word in first] == list(
-        range(len(first))
-    )
-    return 1 if (counter or not _is_number(first[0])) and all(len(row) > 1 for row in rows) else 0
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+    if not is_number(first[0]):
+        return 1
+    numbers = [float(word) for word in first if is_number(word)]
+    return 1 if numbers == [numbers[0] + index for index in range(len(rows))] else 0
 
 
 def _named_stamps(clouds: Sequence[Path]) -> list[int] | None:
@@ -210,8 +205,7 @@ def _named_stamps(clouds: Sequence[Path]) -> list[int] | None:
     if all(pairs):
         return [int(pair[1]) * 1_000_000_000 + int(pair[2]) for pair in pairs if pair]
     names = [path.stem for path in clouds]
-    if not all(re.fullmatch(r"\d+(\.\d+)?", name) for name in names):
+    if not all(_NUMBER.fullmatch(name) for name in names):
         return None
-    if max(float(name) for name in names) < _SMALLEST_STAMP and not all("." in name for name in names):
-        return None
-    return [int(stamp) for stamp in parse_stamps(names)[0]]
+    counters = max(float(name) for name in names) < _SMALLEST_STAMP and not all("." in name for name in names)
+    return None if counters else [int(stamp) for stamp in parse_stamps(names)[0]]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import FormatError
-from heliograph.io.stamps import UNITS, parse_stamps
+from heliograph.io.stamps import UNITS, is_number, parse_stamps
 
 __all__ = ["ImuTable", "read_imu_table"]
 
@@ -74,23 +74,13 @@ def read_imu_table(path: Path) -> ImuTable:
     header, first = _header(rows)
     words = [row for row, _ in rows[first:] if not row[0].startswith("#")]
     columns = _columns_of_header(path, header) if header else _columns_by_physics(path, words)
-    kept, values = [], []
-    for row in words:
-        try:
-            numbers = [float(row[index]) for index in (*columns.gyro, *columns.accel)]
-            float(row[columns.time])
-        except (ValueError, IndexError):
-            continue
-        if np.isfinite(numbers).all():
-            kept.append(row[columns.time])
-            values.append(numbers)
+    kept, table = _complete_rows(words, columns)
     if not kept:
         raise FormatError(path, "holds no complete row of numbers")
     try:
         stamps_ns, unit = parse_stamps(kept, columns.unit)
     except ValueError as error:
         raise FormatError(path, str(error)) from error
-    table = np.array(values, dtype=np.float64)
     return ImuTable(
         stamps_ns=stamps_ns,
         gyro=table[:, :3],
@@ -98,6 +88,20 @@ def read_imu_table(path: Path) -> ImuTable:
         evidence=f"{columns.evidence}; stamps in {unit}",
         bad_rows=len(words) - len(kept),
     )
+
+
+def _complete_rows(words: Sequence[Sequence[str]], columns: _Columns) -> tuple[list[str], NDArray[np.float64]]:
+    """Return the stamps and the ``(N, 6)`` values of the rows that are complete and finite."""
+    stamps, values = [], []
+    for row in words:
+        try:
+            stamp, *numbers = (float(row[index]) for index in (columns.time, *columns.gyro, *columns.accel))
+        except (ValueError, IndexError):
+            continue
+        if np.isfinite([stamp, *numbers]).all():
+            stamps.append(row[columns.time])
+            values.append(numbers)
+    return stamps, np.array(values, dtype=np.float64)
 
 
 def _split(line: str) -> list[str]:
@@ -108,19 +112,11 @@ def _split(line: str) -> list[str]:
     return _SPLIT.split(line.strip())
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 def _header(rows: Sequence[tuple[list[str], str]]) -> tuple[list[str], int]:
     """Return the names of the columns (empty without a header) and the index of the first row of data."""
     header: list[str] = []
     for index, (row, line) in enumerate(rows):
-        if _is_number(row[0]):
+        if is_number(row[0]):
             return header, index
         header = _split(line.lstrip("# \t"))
     return header, len(rows)
@@ -128,35 +124,35 @@ def _header(rows: Sequence[tuple[list[str], str]]) -> tuple[list[str], int]:
 
 def _columns_of_header(path: Path, header: Sequence[str]) -> _Columns:
     names = [re.sub(r"[\[(].*?[\])]", "", name).strip().strip('"').lower() for name in header]
-    time = [
-        index for index, name in enumerate(names) if re.fullmatch(rf"(?:.*[._/ ])?{_TIME}(?:_?(?:ns|us|ms|s))?", name)
-    ]
-    triples = {
-        kind: tuple(_axis_column(names, pattern, axis) for axis in "xyz")
-        for kind, pattern in (("gyro", _GYRO), ("accel", _ACCEL))
-    }
-    missing = [kind for kind, triple in triples.items() if None in triple] + ([] if time else ["time"])
-    if missing:
+    time = _column(names, rf"(?:.*[._/ ])?{_TIME}(?:_?(?:ns|us|ms|s))?")
+    gyro, accel = _axis_columns(names, _GYRO), _axis_columns(names, _ACCEL)
+    missing = [kind for kind, found in (("gyro", gyro), ("accel", accel), ("time", time)) if found is None]
+    if time is None or gyro is None or accel is None:
         raise FormatError(
             path,
             f"has no columns for {', '.join(missing)}; name them time, gyro_x, gyro_y, gyro_z, accel_x, accel_y, "
             f"accel_z (it has {', '.join(header)})",
         )
-    unit = re.search(r"(?:[\[(]\s*|_)(ns|us|ms|s)\b", header[time[0]].lower())
-    used = [header[i] for i in (time[0], *triples["gyro"], *triples["accel"]) if i is not None]
+    unit = re.search(r"(?:[\[(]\s*|_)(ns|us|ms|s)\b", header[time].lower())
+    used = [header[i] for i in (time, *gyro, *accel)]
     return _Columns(
-        time=time[0],
-        gyro=triples["gyro"],  # type: ignore[arg-type]  # None was refused above
-        accel=triples["accel"],  # type: ignore[arg-type]
+        time=time,
+        gyro=gyro,
+        accel=accel,
         unit=unit[1] if unit and unit[1] in UNITS else None,
         evidence=f"columns {', '.join(used)} by their names",
     )
 
 
-def _axis_column(names: Sequence[str], pattern: str, axis: str) -> int | None:
-    """Return the column of one axis: ``gyro_x``, ``gyrox``, ``angular_velocity.x``, ``x_gyro``."""
-    expression = re.compile(rf"(?:.*[./])?(?:{pattern}[._ ]?{axis}|{axis}[._ ]{pattern})")
+def _column(names: Sequence[str], pattern: str) -> int | None:
+    expression = re.compile(pattern)
     return next((index for index, name in enumerate(names) if expression.fullmatch(name)), None)
+
+
+def _axis_columns(names: Sequence[str], sensor: str) -> tuple[int, int, int] | None:
+    """Return the columns x, y, z of a sensor: ``gyro_x``, ``gyrox``, ``angular_velocity.x``, ``x_gyro``."""
+    x, y, z = (_column(names, rf"(?:.*[./])?(?:{sensor}[._ ]?{axis}|{axis}[._ ]{sensor})") for axis in "xyz")
+    return None if x is None or y is None or z is None else (x, y, z)
 
 
 def _columns_by_physics(path: Path, words: Sequence[Sequence[str]]) -> _Columns:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +30,7 @@ def write_las(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Se
     DataError
         A coordinate is not finite: LAS stores integers.
     """
-    try:
-        import laspy
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"writing {path.suffix} needs laspy: {_INSTALL}; or choose .ply or .pcd"
-        ) from error
-    if path.suffix.lower() == ".laz" and not laspy.LazBackend.detect_available():
-        raise MissingDependencyError(f"writing .laz needs lazrs: {_INSTALL}; or choose .las, .ply or .pcd")
+    laspy = _laspy(path.suffix)
     xyz = np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float64)
     bad = int(np.count_nonzero(~np.isfinite(xyz).all(axis=1)))
     if bad:
@@ -57,6 +51,16 @@ def write_las(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Se
     for name, column in extra.items():
         las[name] = column
     las.write(str(path))
+
+
+def _laspy(suffix: str) -> Any:  # noqa: ANN401 - an optional package without types
+    try:
+        import laspy
+    except ImportError as error:
+        raise MissingDependencyError(f"writing {suffix} needs laspy: {_INSTALL}; or choose .ply or .pcd") from error
+    if suffix.lower() == ".laz" and not laspy.LazBackend.detect_available():
+        raise MissingDependencyError(f"writing .laz needs lazrs: {_INSTALL}; or choose .las, .ply or .pcd")
+    return laspy
 
 
 def _sixteen_bits(intensity: NDArray[np.generic]) -> NDArray[np.uint16]:

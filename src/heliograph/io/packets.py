@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,9 +78,7 @@ def _ouster_metadata(context: PacketContext) -> dict[str, tuple[str, Path | str]
     }
     if texts:
         return dict(texts)
-    beside = sorted({json for file in context.files for json in file.parent.glob("*.json")})
-    same_name = [json for json in beside if any(json.stem == file.stem for file in context.files)]
-    found = [json for json in same_name or beside if is_ouster_metadata(json)]
+    found = _metadata_files(context.files)
     if len(found) != 1:
         names = ", ".join(json.name for json in found) or "none"
         raise DataError(
@@ -88,6 +86,13 @@ def _ouster_metadata(context: PacketContext) -> dict[str, tuple[str, Path | str]
             f"beside it (found: {names})"
         )
     return {"": (found[0].read_text(encoding="utf-8"), found[0])}
+
+
+def _metadata_files(files: Sequence[Path]) -> list[Path]:
+    """Return the metadata files beside a recording; one that bears its name goes before others."""
+    beside = sorted({json for file in files for json in file.parent.glob("*.json") if is_ouster_metadata(json)})
+    names = {file.stem for file in files}
+    return [json for json in beside if json.stem in names] or beside
 
 
 class VelodynePackets:

@@ -49,15 +49,14 @@ def open_pcap(paths: Sequence[Path]) -> RawSource | None:
     FormatError
         Not a capture, not of one of the two vendors, or Ouster's metadata are missing or fit no packet.
     """
-    files = [inner for path in paths for inner in (sorted(path.iterdir()) if path.is_dir() else [path])]
+    files = _files_of(paths)
     captures = [path for path in files if path.suffix.lower() in _SUFFIXES]
     if not captures:
         return None
+    sizes: Counter[int] = Counter()
     for path in captures:
         if not is_pcap(path):
             raise FormatError(path, "is not a pcap file; record it again with tcpdump or Wireshark")
-    sizes: Counter[int] = Counter()
-    for path in captures:
         sizes.update(datagram_sizes(path))
     if sizes[PACKET_SIZE]:
         return _VelodynePcap(captures, sizes)
@@ -65,11 +64,14 @@ def open_pcap(paths: Sequence[Path]) -> RawSource | None:
     return _OusterPcap(captures, _find_metadata(captures[0], given, sizes), sizes)
 
 
+def _files_of(paths: Sequence[Path]) -> list[Path]:
+    """Return the paths, folders replaced by their files."""
+    return [inner for path in paths for inner in (sorted(path.iterdir()) if path.is_dir() else [path])]
+
+
 def _find_metadata(capture: Path, given: Sequence[Path], sizes: Counter[int]) -> Path:
     """Return the metadata file of an Ouster capture."""
-    same_name = capture.with_suffix(".json")
-    beside = given or ([same_name] if same_name.exists() else sorted(capture.parent.glob("*.json")))
-    candidates = [path for path in beside if is_ouster_metadata(path)]
+    candidates = [path for path in given or _beside(capture) if is_ouster_metadata(path)]
     if not candidates:
         common = ", ".join(str(size) for size, _ in sizes.most_common(3)) or "no known"
         raise FormatError(
@@ -77,12 +79,22 @@ def _find_metadata(capture: Path, given: Sequence[Path], sizes: Counter[int]) ->
             f"holds UDP packets of {common} bytes: not Velodyne's, and no Ouster metadata .json lies beside it; add "
             "that file, or convert packets of another sensor with its driver",
         )
+    return _only_fitting(capture, candidates)
+
+
+def _only_fitting(capture: Path, candidates: Sequence[Path]) -> Path:
     fitting = [path for path in candidates if _fits(capture, path)]
-    if len(fitting) != 1:
-        names = ", ".join(path.name for path in fitting or candidates)
-        problem = "several metadata files fit it" if fitting else "its packets fit none of the metadata files beside it"
-        raise FormatError(capture, f"{problem} ({names}); name the right .json after the capture")
-    return fitting[0]
+    if len(fitting) == 1:
+        return fitting[0]
+    names = ", ".join(path.name for path in fitting or candidates)
+    problem = "several metadata files fit it" if fitting else "its packets fit none of the metadata files beside it"
+    raise FormatError(capture, f"{problem} ({names}); name the right .json after the capture")
+
+
+def _beside(capture: Path) -> list[Path]:
+    """Return the JSON file of the capture's name, else all that lie beside it."""
+    same_name = capture.with_suffix(".json")
+    return [same_name] if same_name.exists() else sorted(capture.parent.glob("*.json"))
 
 
 def _fits(capture: Path, metadata: Path) -> bool:

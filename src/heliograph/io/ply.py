@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -29,6 +30,13 @@ _SIZED = {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "
           "float64": "f8"}  # fmt: skip
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 _MAX_HEADER_LINES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class _Element:
+    name: str
+    count: int
+    properties: list[tuple[str, str]]
 
 
 def write_ply(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Sequence[str]) -> None:
@@ -58,30 +66,40 @@ def read_ply(path: Path) -> dict[str, NDArray[np.generic]]:
 
 def _read_header(path: Path, file: BinaryIO) -> tuple[str, np.dtype[np.void], int]:
     """Return byte order, record type and number of the vertices, and leave ``file`` at the first one."""
-    order, fields, count, element = "", [], -1, ""
+    order, elements = "", list[_Element]()
     for words in _header_lines(path, file):
         match words:
             case ["format", encoding, _] if encoding in _ORDERS:
                 order = _ORDERS[encoding]
-            case ["element", element, number] if number.isdecimal():
-                if element == "vertex":
-                    count = int(number)
-                elif count < 0 and int(number) > 0:
-                    raise FormatError(path, f"has the element {element!r} before 'vertex', which is not supported")
-            case ["property", "list", *_] if element == "vertex":
-                raise FormatError(path, "has a list property in its vertices, which is not supported")
-            case ["property", kind, name] if element == "vertex":
-                fields.append((name, order + _ply_type(path, kind)))
-            case ["property" | "comment" | "obj_info", *_] | []:
+            case ["element", name, count] if count.isdecimal():
+                elements.append(_Element(name, int(count), []))
+            case ["property", *kinds, name] if elements and kinds:
+                elements[-1].properties.append((name, " ".join(kinds)))
+            case ["comment" | "obj_info", *_] | []:
                 pass
             case _:
                 raise FormatError(path, f"has a header line that is not PLY: {' '.join(words)[:60]!r}")
-    if not order or count < 0:
-        raise FormatError(path, "has a PLY header without 'format' or 'element vertex'")
+    if not order:
+        raise FormatError(path, "has a PLY header without 'format'")
+    vertex = _vertex(path, elements)
     try:
-        return order, np.dtype(fields), count
+        return (
+            order,
+            np.dtype([(name, order + _ply_type(path, kind)) for name, kind in vertex.properties]),
+            vertex.count,
+        )
     except ValueError as error:
         raise FormatError(path, f"has a faulty PLY header: {error}") from error
+
+
+def _vertex(path: Path, elements: Sequence[_Element]) -> _Element:
+    """Return the element ``vertex``, before which no other may have data."""
+    for element in elements:
+        if element.name == "vertex":
+            return element
+        if element.count:
+            raise FormatError(path, f"has the element {element.name!r} before 'vertex', which is not supported")
+    raise FormatError(path, "has a PLY header without 'element vertex'")
 
 
 def _header_lines(path: Path, file: BinaryIO) -> Iterator[list[str]]:
@@ -97,6 +115,8 @@ def _header_lines(path: Path, file: BinaryIO) -> Iterator[list[str]]:
 
 
 def _ply_type(path: Path, kind: str) -> str:
+    if kind.startswith("list"):
+        raise FormatError(path, "has a list property in its vertices, which is not supported")
     code = _TYPES.get(kind) or _SIZED.get(kind)
     if code is None:
         raise FormatError(path, f"has a property of the unknown type {kind!r}")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.io.tum import parse_seconds
 
-__all__ = ["UNITS", "parse_stamps", "stamp_unit"]
+__all__ = ["UNITS", "is_number", "parse_stamps", "stamp_unit"]
 
 UNITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Unit -> the power of ten that makes nanoseconds of it."""
@@ -23,7 +23,7 @@ def stamp_unit(words: Sequence[str]) -> str:
     """Return the unit in which stamps are written: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
 
     Values that can be times since 1970 tell the unit by their size; smaller ones by their median step, which must make
-    a rate between 2 Hz and 5 kHz; a decimal point decides for seconds where more than one unit does.
+    a rate between 2 Hz and 5 kHz: the largest such unit, or seconds where none does.
 
     Raises
     ------
@@ -33,14 +33,21 @@ def stamp_unit(words: Sequence[str]) -> str:
     values = np.array([float(word) for word in words])
     size = float(np.median(np.abs(values))) if len(values) else 0.0
     for unit, epoch in _EPOCH.items():
-        if size >= epoch and (unit != "s" or size < _EPOCH["ms"]):
+        if size >= epoch:
             return unit
     steps = np.diff(values)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    plausible = [unit for unit, power in UNITS.items() if _STEP_S[0] <= step * 10.0 ** (power - 9) <= _STEP_S[1]]
-    if not plausible or any("." in word for word in words[:100]):
-        return "s" if not plausible or "s" in plausible else plausible[0]
-    return plausible[-1] if "s" not in plausible else "s"
+    plausible = (unit for unit, power in UNITS.items() if _STEP_S[0] <= step * 10.0 ** (power - 9) <= _STEP_S[1])
+    return next(plausible, "s")
+
+
+def is_number(word: str) -> bool:
+    """Tell whether a word is a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def parse_stamps(words: Sequence[str], unit: str | None = None) -> tuple[NDArray[np.int64], str]:

@@ -48,7 +48,7 @@ class Association:
     Parameters
     ----------
     stamps_ns : (N,) int64
-        The reference's stamps [ns].
+        The reference's stamps, or the estimate's where the reference is much denser [ns].
     T_estimate : (N, 4, 4) float64
         The estimate's poses there, in its own fixed frame.
     T_reference : (N, 4, 4) float64
@@ -126,7 +126,10 @@ class RelativeError:
 def associate(
     estimate: Trajectory, reference: Trajectory, *, time_offset: float = 0.0, max_gap_s: float = 0.5
 ) -> Association:
-    """Return both trajectories at the reference's stamps, the estimate interpolated on SE(3).
+    """Return both trajectories at common stamps, the denser one interpolated on SE(3).
+
+    These are the reference's stamps, unless the reference is more than twice as dense: a 10 Hz estimate says nothing
+    about the sway between its rows, so a 200 Hz reference is then read at the estimate's stamps instead.
 
     Parameters
     ----------
@@ -135,25 +138,38 @@ def associate(
     time_offset : float
         Added to the estimate's stamps first [s].
     max_gap_s : float
-        A reference pose between two estimated poses farther apart than this is left out, as is one outside the
-        estimate's time span [s]. One that hits an estimated stamp is always used.
+        A stamp between two poses of the interpolated trajectory farther apart than this is left out, as is one outside
+        its time span [s]. One that hits a stamp is always used.
 
     Raises
     ------
     DataError
         Nothing overlaps.
     """
-    shift_ns = round(time_offset * 1e9)
-    query = reference.stamps_ns - shift_ns
-    usable = _covered(estimate.stamps_ns, query, round(max_gap_s * 1e9)) if len(estimate) else np.zeros(0, dtype=bool)
+    shift_ns, max_gap_ns = round(time_offset * 1e9), round(max_gap_s * 1e9)
+    stamps = estimate.stamps_ns + shift_ns
+    by_estimate = _period(reference.stamps_ns) * 2.0 < _period(stamps)
+    query, dense = (stamps, reference.stamps_ns) if by_estimate else (reference.stamps_ns, stamps)
+    usable = _covered(dense, query, max_gap_ns) if len(dense) else np.zeros(len(query), dtype=bool)
     if not usable.any():
         raise DataError(_no_overlap(estimate, reference, max_gap_s))
+    at = query[usable]
+    travelled = _travelled(reference.T_frame_body)
     return Association(
-        stamps_ns=reference.stamps_ns[usable],
-        T_estimate=interpolate_se3(estimate.stamps_ns, estimate.T_frame_body, query[usable]),
-        T_reference=reference.T_frame_body[usable],
-        distance=_travelled(reference.T_frame_body)[usable],
+        stamps_ns=at,
+        T_estimate=estimate.T_frame_body[usable]
+        if by_estimate
+        else interpolate_se3(stamps, estimate.T_frame_body, at),
+        T_reference=interpolate_se3(reference.stamps_ns, reference.T_frame_body, at)
+        if by_estimate
+        else reference.T_frame_body[usable],
+        distance=np.interp(at, reference.stamps_ns, travelled),
     )
+
+
+def _period(stamps_ns: NDArray[np.int64]) -> float:
+    """Return the median distance between stamps [ns]."""
+    return float(np.median(np.diff(stamps_ns))) if len(stamps_ns) > 1 else float("inf")
 
 
 def align(T_estimate: Array, T_reference: Array, mode: str = "se3") -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -77,10 +78,10 @@ class FilterCore:
         posterior = fit.state if fit is not None else prior
         if len(self.map) == 0:
             posterior = _anchored(prior)
-        path = corrected_path(path, posterior)  # (8)
+        sweep, path = self._motion.sweep(path, posterior), corrected_path(path, posterior)  # (8)
         watch.lap("match")
 
-        points_imu = self._deskew(points, offsets, scan, path, posterior)  # (3), now with the final motion
+        points_imu = self._deskew(points, offsets, scan, sweep, posterior)  # (3), now with the final motion
         watch.lap("deskew")
         if fit is not None or len(self.map) == 0:
             self.map.insert(points_imu, posterior.T_odom_imu)
@@ -136,19 +137,35 @@ class FilterCore:
         config = self._config.filter
         if len(self.map) == 0 or len(points) < config.min_matches:
             return None
-        sample = self._deskew(points, offsets, scan, path, prior)
-        fit = register(prior, self.map, sample, noise=self.noise, config=config, threads=self._threads)
-        turn = float(np.linalg.norm(so3.log(prior.R_odom_imu.T @ fit.state.R_odom_imu)))
-        shift = float(np.linalg.norm(fit.state.p_odom - prior.p_odom))
-        if self._config.cloud.deskew != "off" and (turn > _REDO_ROTATION or shift > _REDO_POSITION):
-            sample = self._deskew(points, offsets, scan, corrected_path(path, fit.state), fit.state)
-            fit = register(prior, self.map, sample, noise=self.noise, config=config, threads=self._threads)
+        before_end = ((scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)).astype(np.float32)
+
+        def updated(sweep_of: Callable[[NavState], ImuPath]) -> UpdateResult[NormalEquations]:
+            def points_at(state: NavState) -> NDArray[np.float32]:
+                return self._deskew(points, offsets, scan, sweep_of(state), state)
+
+            return register(
+                prior, self.map, points_at, before_end, noise=self.noise, config=config, threads=self._threads
+            )
+
+        if not self._motion.inertial:
+            fit = updated(lambda state: self._motion.sweep(path, state))
+        else:
+            fit = updated(lambda _: path)
+            if self._config.cloud.deskew != "off" and _bends(prior, fit.state):
+                bent = corrected_path(path, fit.state)
+                fit = updated(lambda _: bent)
         return fit if fit.linearization.matches >= config.min_matches else None
 
     def _prune(self, state: NavState) -> None:
         if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:
             self.map.prune(state.p_odom)
             self._pruned_at = state.p_odom
+
+
+def _bends(prior: NavState, posterior: NavState) -> bool:
+    turn = float(np.linalg.norm(so3.log(prior.R_odom_imu.T @ posterior.R_odom_imu)))
+    shift = float(np.linalg.norm(posterior.p_odom - prior.p_odom))
+    return turn > _REDO_ROTATION or shift > _REDO_POSITION
 
 
 def _anchored(state: NavState) -> NavState:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,13 +68,16 @@ def _opening(prior: NavState, sigma: float, config: FilterConfig) -> float:
 def register(
     prior: NavState,
     local_map: LocalMap,
-    points_imu: NDArray[np.float32],
+    points_at: Callable[[NavState], NDArray[np.float32]],
+    before_end: NDArray[np.float32],
     *,
     noise: AdaptiveNoise,
     config: FilterConfig,
     threads: int,
 ) -> UpdateResult[NormalEquations]:
-    """Update ``prior`` with de-skewed points (N, 3) float32 of the imu frame at its stamp.
+    """Update ``prior`` with the points of a scan, imu frame at its stamp.
+
+    ``points_at(state)`` gives them de-skewed, (N, 3) float32 [m], ``before_end`` (N,) how long before [s].
 
     The kernel halves from iteration to iteration down to ``config.kernel`` sigmas (graduated non-convexity in its
     simplest form), so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
@@ -95,7 +99,9 @@ def register(
             mounting=len(prior.covariance) > 17,
             threads=threads,
         )
-        equations = linearize(local_map, points_imu, state.T_odom_imu, state.T_imu_lidar, settings)
+        equations = linearize(
+            local_map, points_at(state), state.T_odom_imu, state.T_imu_lidar, settings, before_end=before_end
+        )
         share = 1.0 / config.correlation
         return replace(
             equations,

@@ -45,6 +45,24 @@ class MotionModel:
             imu = ImuBatch(stamps_ns=stamps, gyro=np.zeros((2, 3)), accel=np.zeros((2, 3)), received_ns=0)
         return propagate(state, imu, end_ns, noise=self._noise, config=self._config)
 
+    def sweep(self, path: ImuPath, state: NavState) -> ImuPath:
+        """Return the motion that leads to ``state``, for de-skewing.
+
+        The IMU's path is bent so as to end there. Without an IMU the state's own velocity and rate are carried back:
+        what an error of theirs does to the points is then exactly what the update's Jacobian says it does.
+        """
+        if self.inertial:
+            return corrected_path(path, state)
+        ends = np.array([path.stamps_ns[0], path.stamps_ns[-1]])
+        before = (ends - ends[-1]) * 1e-9
+        return ImuPath(
+            stamps_ns=ends,
+            R_odom_imu=state.R_odom_imu @ so3.exp(-before[:, None] * state.gyro_bias),
+            p_odom=state.p_odom + before[:, None] * state.v_odom,
+            v_odom=np.tile(state.v_odom, (2, 1)),
+            held_s=0.0,
+        )
+
 
 def corrected_path(path: ImuPath, posterior: NavState) -> ImuPath:
     """Bend a predicted path so that it ends in the posterior.

@@ -140,4 +140,5 @@ def _joined(history: ImuPath | None, path: ImuPath) -> Trajectory:
 
 def _pose_at(trajectory: Trajectory, stamp_ns: int) -> NDArray[np.float64]:
     """Return the pose at a stamp; just outside the trajectory its end's twist is carried on."""
-    return interpolate_se3(trajectory.stamps_ns, trajectory.T_frame_body, np.array([stamp_ns]), extrapolate=True)[0]
+    T = interpolate_se3(trajectory.stamps_ns, trajectory.T_frame_body, np.array([stamp_ns]), extrapolate=True)
+    return np.asarray(T[0])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import NavState
-from heliograph.odometry.error_state import NAV_DIM, local, reset_jacobian, retract
+from heliograph.odometry.error_state import local, reset_jacobian, retract
 
 __all__ = ["Linearization", "UpdateResult", "iterated_update"]
 
@@ -24,16 +24,21 @@ Array = NDArray[np.float64]
 
 
 class Linearization(Protocol):
-    """What a measurement says about the first six errors, or those and the mounting's."""
+    """What a measurement says about some of the errors."""
+
+    @property
+    def columns(self) -> NDArray[np.intp]:
+        """Which errors they are, (C,)."""
+        ...
 
     @property
     def information(self) -> Array:
-        """``H^T R^-1 H`` over the columns concerned, (6, 6) or (12, 12)."""
+        """``H^T R^-1 H`` over those, (C, C)."""
         ...
 
     @property
     def gradient(self) -> Array:
-        """``H^T R^-1 r``, (6,) or (12,)."""
+        """``H^T R^-1 r``, (C,)."""
         ...
 
 
@@ -54,11 +59,9 @@ class UpdateResult(Generic[L]):
 
 def _embed(measurement: Linearization, dim: int) -> tuple[Array, Array]:
     """Spread the measurement over the whole error state."""
-    n = len(measurement.gradient)
-    columns = np.arange(6) if n == 6 else np.concatenate([np.arange(6), np.arange(NAV_DIM, NAV_DIM + 6)])
     A, b = np.zeros((dim, dim)), np.zeros(dim)
-    A[np.ix_(columns, columns)] = measurement.information
-    b[columns] = measurement.gradient
+    A[np.ix_(measurement.columns, measurement.columns)] = measurement.information
+    b[measurement.columns] = measurement.gradient
     return A, b
 
 

@@ -32,7 +32,7 @@ class MatchSettings:
         ``"plane"``, or ``"point"``: the distance to the nearest stored point, for comparison only. Its information is
         the identity whatever the geometry, so it cannot see a degenerate one.
     mounting : bool
-        Also by the mounting's rotation and lever arm: 12 columns instead of 6.
+        Also by the mounting's rotation and lever arm, in the place of the motion.
     threads : int
         Of the native loop; the result does not depend on it.
     """
@@ -46,12 +46,20 @@ class MatchSettings:
     threads: int = 1
 
 
+_COLUMNS_POSE = np.arange(6)
+_COLUMNS_MOTION = np.arange(12)
+_COLUMNS_MOUNTING = np.concatenate([np.arange(6), np.arange(17, 23)])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NormalEquations:
-    """Sums over the matches, with columns rotation (body) 3, position (odom) 3[, mounting rotation (lidar) 3, lever arm (imu) 3].
+    """Sums over the matches.
 
     Parameters
     ----------
+    columns : (C,) int
+        Which errors of the filter's state the columns are: rotation (body) and position (odom), then either velocity
+        (odom) and gyro bias, or mounting rotation (lidar) and lever arm (imu).
     information : (C, C) float64
         Sum of ``w / s^2 J^T J``.
     gradient : (C,) float64
@@ -68,6 +76,7 @@ class NormalEquations:
 
     information: NDArray[np.float64]
     gradient: NDArray[np.float64]
+    columns: NDArray[np.intp]
     weight: float
     robust_weight: float
     square: float
@@ -88,12 +97,16 @@ def linearize(
     T_odom_imu: NDArray[np.float64],
     T_imu_lidar: NDArray[np.float64],
     settings: MatchSettings,
+    *,
+    before_end: NDArray[np.float32] | None = None,
 ) -> NormalEquations:
     """Match points to the map at a pose and return the normal equations of the residuals.
 
-    Jacobians are by right perturbations: ``J_rotation = (p x R^T n)``, ``J_position = n``; for the mounting, with ``p_l``
-    the point in the lidar frame and ``m = R^T n``, ``(p_l x R_il^T m)`` and ``m``. The last two neglect the motion
-    within the sweep. Each match has the variance ``sigma^2`` plus its plane's own at the query.
+    Jacobians are by right perturbations: ``J_rotation = (p x R^T n)``, ``J_position = n``. For the motion, with the point
+    measured ``dt`` before the sweep's end, ``J_velocity = -dt n`` and ``J_gyro_bias = dt J_rotation``: de-skewing has
+    carried it forward by both. For the mounting, with ``p_l`` the point in the lidar frame and ``m = R^T n``,
+    ``(p_l x R_il^T m)`` and ``m``; these neglect the motion within the sweep. Each match has the variance ``sigma^2``
+    plus its plane's own at the query.
 
     Parameters
     ----------
@@ -104,6 +117,8 @@ def linearize(
     T_odom_imu, T_imu_lidar : (4, 4) float64
         Pose to linearise at, and mounting.
     settings : MatchSettings
+    before_end : (N,) float32, optional
+        Time of each point before the sweep's end [s]; needed for the columns of the motion.
 
     Raises
     ------
@@ -112,30 +127,29 @@ def linearize(
     """
     if settings.residual not in ("plane", "point"):
         raise ConfigError(f"residual '{settings.residual}' is not one of 'plane', 'point'")
+    motion = before_end is not None and not settings.mounting
     if not isinstance(local_map, VoxelMap):
-        return _linearize_any(local_map, points_imu, T_odom_imu, T_imu_lidar, settings)
-    T = np.ascontiguousarray(T_odom_imu)
+        return _linearize_any(local_map, points_imu, T_odom_imu, T_imu_lidar, settings, before_end if motion else None)
+    scan = (
+        local_map.native,
+        points_imu,
+        before_end if before_end is not None and motion else np.zeros(0, np.float32),
+        np.ascontiguousarray(T_odom_imu),
+        np.ascontiguousarray(T_imu_lidar),
+        settings.gate,
+        settings.kernel,
+        settings.sigma,
+    )
+    columns = 12 if settings.mounting or motion else 6
     if settings.residual == "plane":
-        sums = _core.match_planes(
-            local_map.native,
-            points_imu,
-            T,
-            np.ascontiguousarray(T_imu_lidar),
-            settings.gate,
-            settings.kernel,
-            settings.sigma,
-            settings.fallback_stride,
-            local_map.config.fallback_range,
-            12 if settings.mounting else 6,
-            settings.threads,
-        )
+        stride, reach = settings.fallback_stride, local_map.config.fallback_range
+        sums = _core.match_planes(*scan, stride, reach, columns, settings.threads)
     else:
-        sums = _core.match_points(
-            local_map.native, points_imu, T, settings.gate, settings.kernel, settings.sigma, settings.threads
-        )
+        sums = _core.match_points(*scan, columns, settings.threads)
     return NormalEquations(
         information=sums[0],
         gradient=sums[1],
+        columns=_COLUMNS_MOUNTING if settings.mounting else _COLUMNS_MOTION if motion else _COLUMNS_POSE,
         weight=sums[2],
         robust_weight=sums[3],
         square=sums[4],
@@ -152,6 +166,7 @@ def _linearize_any(
     T_odom_imu: NDArray[np.float64],
     T_imu_lidar: NDArray[np.float64],
     settings: MatchSettings,
+    before_end: NDArray[np.float32] | None,
 ) -> NormalEquations:
     """Do the same for a user's own map, in NumPy."""
     if settings.residual == "point":
@@ -167,6 +182,9 @@ def _linearize_any(
     if settings.mounting:
         R_il = T_imu_lidar[:3, :3]
         columns += [np.cross((p - T_imu_lidar[:3, 3]) @ R_il, m @ R_il), m]
+    elif before_end is not None:
+        dt = before_end[some, None].astype(np.float64)
+        columns += [-dt * n, dt * columns[0]]
     J = np.hstack(columns)
     c2 = settings.kernel**2
     w = (c2 / (c2 + r * r)) ** 2 if c2 > 0.0 else np.ones_like(r)
@@ -176,6 +194,11 @@ def _linearize_any(
     return NormalEquations(
         information=weighted.T @ J,
         gradient=weighted.T @ r,
+        columns=_COLUMNS_MOUNTING
+        if settings.mounting
+        else _COLUMNS_MOTION
+        if before_end is not None
+        else _COLUMNS_POSE,
         weight=float((w * inv_var).sum()),
         robust_weight=float(w.sum()),
         square=float((w * r * r).sum()),

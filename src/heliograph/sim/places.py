@@ -95,7 +95,7 @@ def _hall(rng: np.random.Generator) -> Iterator[Primitive]:
         yield box((x, 12.0, height - 0.25), (0.2, 24.0, 0.5), None, _STEEL)
         for y in (0.15, 23.85):
             yield _standing(x, y, (0.3, 0.3, height), _STEEL)
-    for x, y in ((2.0, 9.2), (2.0, 15.0), (20.0, 9.0), (38.5, 9.0), (38.5, 15.0), (20.0, 21.0), (20.0, 3.0)):
+    for x, y in ((2.0, 9.2), (2.0, 15.0), (21.7, 9.0), (38.5, 9.0), (38.5, 15.0), (20.0, 21.0), (20.0, 3.0)):
         yield cylinder((x, y, height / 2.0), 0.22, height, None, _CONCRETE)
     for y, fill in ((2.9, 0.7), (9.0, 0.65), (15.0, 0.65), (21.1, 0.7)):
         for x0, x1 in ((7.0, 17.8), (22.2, 35.7)):
@@ -150,6 +150,12 @@ def warehouse(rng: np.random.Generator) -> Place:
     return Place(world=World([*_hall(rng), *_yard(rng)]), course=Course(waypoints=waypoints, corner=2.0))
 
 
+def aisles(rng: np.random.Generator) -> Place:
+    """Return the warehouse with a loop of about 40 m around one of its racks."""
+    waypoints = np.array([(7.0, 6.0, 0.9), (20.0, 6.0, 0.9), (20.0, 12.0, 0.9), (4.0, 12.0, 0.9), (4.0, 6.0, 0.9)])
+    return Place(world=warehouse(rng).world, course=Course(waypoints=waypoints, corner=1.6))
+
+
 def room(rng: np.random.Generator) -> Place:
     """Return a furnished room of 10 m by 7 m with a loop around its table."""
     primitives = [
@@ -196,5 +202,5 @@ def tunnel(rng: np.random.Generator) -> Place:
 
 
 PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(
-    {"room": room, "tunnel": tunnel, "warehouse": warehouse}
+    {"aisles": aisles, "room": room, "tunnel": tunnel, "warehouse": warehouse}
 )

@@ -154,7 +154,7 @@ def _registry() -> dict[str, Scenario]:
     handheld = Gait(frequency=1.9, bounce=0.015, lateral=0.02, roll_deg=4.0, pitch_deg=3.0, yaw_deg=8.0)
     return {
         "warehouse": warehouse,
-        "demo": replace(warehouse, name="demo").thinned(columns=512, duration=30.0),
+        "demo": Scenario(name="demo", place="aisles", walk=Walk(rest=3.0)).thinned(columns=512),
         "room": Scenario(
             name="room",
             place="room",

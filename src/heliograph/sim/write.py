@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import heapq
-import shutil
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,7 @@ _TYPES = {
 _POINTS = "/points"
 _IMU_FRAME = "imu_link"
 _BODY_FRAME = "base_link"
+_QUEUE = 64  # messages that wait to be written: about three sweeps with their IMU samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,25 +109,25 @@ def write_recording(
         raise OutputError(f"{folder} holds a recording already; choose another folder or overwrite it")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        sweeps = _write_bag(folder, simulation, chosen, compress=compress, progress=progress)
-        truth = simulation.truth
-        imu_tum, lidar_tum, toml = (
-            folder / name for name in ("groundtruth_imu.tum", "groundtruth_lidar.tum", "scenario.toml")
-        )
-        stamps = simulation.imu_stamps_ns
-        _write_tum(imu_tum, "imu", stamps, truth.pose(stamps))
-        _write_tum(lidar_tum, "lidar", stamps, truth.lidar_pose(stamps))
-        toml.write_text(f"# seed {seed}, layout {layout}\n{to_toml(scenario)}", encoding="utf-8")
+        # Everything is written aside and moved into place at the end: the folder never holds half a recording.
+        with TemporaryDirectory(prefix=".simulate-", dir=folder) as scratch:
+            aside = Path(scratch) / "recording"  # the writer wants a new folder and names the file after it
+            sweeps = _write_bag(aside, simulation, chosen, compress=compress, progress=progress)
+            _write_truth(aside, simulation)
+            note = f"# seed {seed}, layout {layout}\n"
+            (aside / "scenario.toml").write_text(note + to_toml(scenario), encoding="utf-8")
+            for file in sorted(aside.iterdir()):
+                file.replace(folder / file.name)
     except OSError as error:
         raise OutputError(f"{folder} cannot be written: {error.strerror or error}") from error
     return Recording(
         folder=folder,
         recording=folder / "recording.mcap",
-        groundtruth_imu=imu_tum,
-        groundtruth_lidar=lidar_tum,
-        scenario=toml,
+        groundtruth_imu=folder / "groundtruth_imu.tum",
+        groundtruth_lidar=folder / "groundtruth_lidar.tum",
+        scenario=folder / "scenario.toml",
         sweeps=sweeps,
-        imu_samples=len(stamps),
+        imu_samples=len(simulation.imu_stamps_ns),
         duration=simulation.duration_ns * 1e-9,
     )
 
@@ -137,16 +140,14 @@ def _write_bag(
     compress: bool,
     progress: Callable[[int, int], None] | None,
 ) -> int:
-    """Write ``recording.mcap`` and ``metadata.yaml``; return the number of sweeps."""
-    # The writer wants a new folder and names the file after it; both files then move up into the recording's own.
-    scratch = folder / "recording"
-    shutil.rmtree(scratch, ignore_errors=True)
-    writer = Writer(scratch, version=9, storage_plugin=StoragePlugin.MCAP)
+    """Write the bag into ``folder``, which must not exist; return the number of sweeps."""
+    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
     if compress:
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     messages = Messages()
     total, done = simulation.sweep_count(), 0
-    with writer:
+    pending: deque[Future[None]] = deque()
+    with writer, ThreadPoolExecutor(max_workers=1) as pool:
         types = {**_TYPES, _POINTS: layout.message_type}
         connections = {
             topic: writer.add_connection(
@@ -164,14 +165,16 @@ def _write_bag(
             _clouds(simulation, layout, messages),
             key=lambda message: message[:2],
         ):
-            writer.write(connections[topic], received_ns, data)
+            # Compression takes about as long as the simulation, so it runs beside it, at most a few sweeps behind.
+            pending.append(pool.submit(writer.write, connections[topic], received_ns, data))
+            if len(pending) > _QUEUE:
+                pending.popleft().result()
             if topic == _POINTS:
                 done += 1
                 if progress is not None:
                     progress(done, total)
-    for name in ("recording.mcap", "metadata.yaml"):
-        (scratch / name).replace(folder / name)
-    scratch.rmdir()
+        for written in pending:
+            written.result()
     return done
 
 
@@ -217,6 +220,12 @@ def _fixes(simulation: Simulation, messages: Messages) -> Iterator[_Message]:
 def _clouds(simulation: Simulation, layout: Layout, messages: Messages) -> Iterator[_Message]:
     for sweep in simulation.sweeps():
         yield sweep.end_ns, 3, _POINTS, messages.cloud(layout, layout.pack(sweep, layout.dtype))
+
+
+def _write_truth(folder: Path, simulation: Simulation) -> None:
+    stamps, truth = simulation.imu_stamps_ns, simulation.truth
+    _write_tum(folder / "groundtruth_imu.tum", "imu", stamps, truth.pose(stamps))
+    _write_tum(folder / "groundtruth_lidar.tum", "lidar", stamps, truth.lidar_pose(stamps))
 
 
 def _write_tum(path: Path, body: str, stamps_ns: NDArray[np.int64], T_world_body: NDArray[np.float64]) -> None:

@@ -60,6 +60,14 @@ def test_cloud_stamps_are_read_from_a_list(tmp_path, rng, name, text):
     assert [round(float(np.median(message.columns["x"]))) for message in messages] == [0, 1, 2]
 
 
+def test_clouds_come_in_the_order_of_their_stamps(tmp_path, rng):
+    folder = make_folder(tmp_path / "run", rng, ["a", "b", "c"])
+    (folder / "times.txt").write_text("0.3\n0.1\n0.2\n")
+    _, messages = clouds_of(folder)
+    assert [message.stamp_ns for message in messages] == [100_000_000, 200_000_000, 300_000_000]
+    assert [round(float(np.median(message.columns["x"]))) for message in messages] == [1, 2, 0]
+
+
 def test_cloud_stamps_that_do_not_fit_are_refused(tmp_path, rng):
     folder = make_folder(tmp_path / "run", rng, ["0", "1", "2"])
     (folder / "times.txt").write_text("0.0\n0.1\n")

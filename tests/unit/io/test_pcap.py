@@ -147,6 +147,9 @@ def test_velodyne_capture_holds_points_timed_from_the_sweeps_start(shared_data, 
         assert cloud.columns["time"].max() == pytest.approx(0.105, abs=0.01)
     steps = np.diff([cloud.stamp_ns for cloud in clouds])
     np.testing.assert_allclose(steps, 105e6, rtol=0.1)
+    # The sensor's clock: 12.9 s and 0.37 s behind the recorder's in these two files, less the sweep itself.
+    behind = clouds[0].received_ns - clouds[0].stamp_ns
+    assert behind == pytest.approx(13.02e9 if name == "hdl32" else 0.47e9, rel=0.01)
     assert source.events == []
 
 
