@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from heliograph.config import InputConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan
 from heliograph.errors import CalibrationError, DataError, closest
+from heliograph.io.imu_units import is_usable
 from heliograph.io.inference import Inference
 from heliograph.io.interpret import Interpretation, interpret
 from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo
@@ -242,7 +243,7 @@ class Recording:
             yield message
 
     def _accept_imu(self, message: RawImu) -> bool:
-        if not np.isfinite(sum(message.gyro) + sum(message.accel)):
+        if not is_usable(message):
             self.tally.imu.bad += 1
             return False
         return self.tally.imu.accept(message.stamp_ns, message.received_ns)

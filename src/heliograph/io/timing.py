@@ -15,7 +15,7 @@ from heliograph.errors import ConfigError, DataError, closest
 from heliograph.io.inference import Inference, inferred
 from heliograph.io.layouts import DESKEWED_LAYOUTS, UNITS, Layout, find_layout, time_field
 from heliograph.io.raw import RawCloud
-from heliograph.io.scans import PointTiming, valid_points
+from heliograph.io.scans import TOLERANT, PointTiming, valid_points
 
 __all__ = ["TimingResult", "infer_timing"]
 
@@ -41,6 +41,7 @@ class _Spans:
     stamps_ns: NDArray[np.int64]
 
 
+@TOLERANT
 def infer_timing(clouds: Sequence[RawCloud], config: InputConfig) -> TimingResult:
     """Infer how the points of a topic are timed.
 
@@ -256,7 +257,7 @@ def _check_latency(timing: PointTiming, clouds: Sequence[RawCloud], meaning: str
     """Warn where messages arrived before their last point was measured: then the stamp cannot mean what it seems to."""
     if meaning != "start" or timing.stamp != "header":
         return []
-    latency = np.array([c.received_ns - c.stamp_ns for c in clouds], dtype=np.int64)
+    latency = np.array([c.received_ns - c.stamp_ns for c in clouds], dtype=np.float64)
     # Equal times are a converter's, and far ones another clock's: neither says anything.
     if len(latency) < 3 or not np.all((latency > 1_000_000) & (latency < 0.7 * high)):
         return []
@@ -314,9 +315,8 @@ def _first_azimuth(clouds: Sequence[RawCloud], direction: int) -> float | None:
 def _turn(cloud: RawCloud) -> tuple[str, int, str]:
     x, y = cloud.columns["x"], cloud.columns["y"]
     if x.ndim == 2 and x.shape[1] >= 64:
-        with np.errstate(invalid="ignore"):
-            azimuth = np.arctan2(y.astype(np.float64), x.astype(np.float64))
-            usable = np.isfinite(azimuth) & ((np.abs(x) + np.abs(y)) > 0)
+        azimuth = np.arctan2(y.astype(np.float64), x.astype(np.float64))
+        usable = np.isfinite(azimuth) & ((np.abs(x) + np.abs(y)) > 0)
         row = int(np.count_nonzero(usable, axis=1).argmax())
         progress, steady = _progress(azimuth[row][usable[row]])
         if abs(abs(progress) - 1) < 0.1 and steady > 0.9:
