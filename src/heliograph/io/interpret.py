@@ -23,6 +23,7 @@ CLOUDS, SAMPLES, FEW_SAMPLES = 12, 400, 20
 USUAL_PROBE_NS = 3_000_000_000
 LONGEST_PROBE_NS = 20_000_000_000
 DEFAULT_IMU_PERIOD_NS = 5_000_000
+FURTHEST_CLOCKS_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,8 +42,10 @@ class Interpretation:
         LiDAR on IMU.
     frames : FrameTree
         All frames.
-    lidar_frame, imu_frame : str
+    lidar_frame, imu_frame, gnss_frame : str
         As the messages name them.
+    imu_stamp : str
+        ``"header"``, or ``"received"`` where the samples carry no usable stamp.
     imu_period_ns : int
         From sample to sample [ns].
     has_orientation : bool
@@ -66,6 +69,8 @@ class Interpretation:
     frames: FrameTree
     lidar_frame: str
     imu_frame: str
+    gnss_frame: str
+    imu_stamp: str
     imu_period_ns: int
     has_orientation: bool
     start_ns: int
@@ -140,12 +145,13 @@ def interpret(source: RawSource, config: InputConfig, sensors: str = "auto") -> 
         timing = result.timing
         inferences += result.inferences
         events += result.events
-    imu_period_ns = DEFAULT_IMU_PERIOD_NS
+    imu_period_ns, imu_stamp = DEFAULT_IMU_PERIOD_NS, "header"
     if samples:
         units = infer_imu_units(samples, config)
-        imu_period_ns, rate = _imu_period(samples)
-        inferences += [rate, *units.inferences]
-        events += units.events
+        imu_period_ns, imu_stamp, found = _imu_period(samples)
+        inferences += [*(note for note in found if isinstance(note, Inference)), *units.inferences]
+        events += [*(note for note in found if isinstance(note, Event)), *units.events]
+        events += _clock_mismatch(clouds, samples) if timing.stamp == imu_stamp == "header" else ()
     frames = FrameTree(probe.transforms)
     mounting = find_mounting(clouds, samples, frames, source.factory_T_imu_lidar(), config.extrinsic)
     return Interpretation(
@@ -158,6 +164,8 @@ def interpret(source: RawSource, config: InputConfig, sensors: str = "auto") -> 
         frames=frames,
         lidar_frame=clouds[0].frame_id.lstrip("/") if clouds else "",
         imu_frame=samples[0].frame_id.lstrip("/") if samples else "",
+        gnss_frame=probe.fixes[gnss][0].frame_id.lstrip("/") if gnss else "",
+        imu_stamp=imu_stamp,
         imu_period_ns=imu_period_ns,
         has_orientation=any(sample.has_orientation for sample in samples),
         start_ns=probe.start_ns or 0,
@@ -274,17 +282,40 @@ def _choose_imu(imus: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str 
     return best, [inferred("imu topic", best, f"most samples of {listing}"), Event(code="imu-topics", message=message)]
 
 
-def _imu_period(samples: Sequence[RawImu]) -> tuple[int, Inference]:
+def _imu_period(samples: Sequence[RawImu]) -> tuple[int, str, list[Inference | Event]]:
+    """Return the period [ns], the stamp to use, and what led to them."""
+    topic, stamp = samples[0].topic, "header"
+    notes: list[Inference | Event] = []
     steps = np.diff(np.array([s.stamp_ns for s in samples], dtype=np.int64))
-    if len(steps) >= 3 and np.count_nonzero(steps < 0) > len(steps) // 2:
+    backwards = int(np.count_nonzero(steps < 0))
+    if len(steps) >= 3 and backwards > len(steps) // 2:
         raise DataError(
-            f"{samples[0].topic}: IMU stamps run backwards ({np.count_nonzero(steps < 0)} of the first "
-            f"{len(steps)} steps); re-record "
-            "or sort the messages by stamp"
+            f"{topic}: IMU stamps run backwards ({backwards} of the first {len(steps)} steps); re-record or sort "
+            "the messages by stamp"
         )
+    if len(steps) >= 3 and not steps.any():
+        stamp = "received"
+        steps = np.diff(np.array([s.received_ns for s in samples], dtype=np.int64))
+        message = f"{topic}: IMU stamps do not advance; times of reception are used, which jitter"
+        notes.append(Event(code="no-stamps", message=message))
     steps = steps[steps > 0]
     if not len(steps):
-        return DEFAULT_IMU_PERIOD_NS, inferred("imu rate", "unknown", "stamps do not advance", source="default")
+        return DEFAULT_IMU_PERIOD_NS, stamp, [*notes, inferred("imu rate", "unknown", "one sample", source="default")]
     period = int(np.median(steps))
     evidence = f"median of {len(steps)} steps between stamps, {steps.min() / 1e6:.3f} to {steps.max() / 1e6:.3f} ms"
-    return period, inferred("imu rate", f"{1e9 / period:.4g} Hz", evidence)
+    return period, stamp, [*notes, inferred("imu rate", f"{1e9 / period:.4g} Hz", evidence)]
+
+
+def _clock_mismatch(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> list[Event]:
+    """Warn where LiDAR and IMU stamp in clocks that differ: what arrives together is stamped apart."""
+    if not clouds:
+        return []
+    lidar, imu = (float(np.median([m.received_ns - m.stamp_ns for m in messages])) for messages in (clouds, samples))
+    if abs(lidar - imu) < FURTHEST_CLOCKS_NS:
+        return []
+    message = (
+        f"LiDAR stamps are {(imu - lidar) / 1e9:+.3f} s off IMU stamps of messages that arrive together: the "
+        "sensors' clocks "
+        "differ; synchronise them (PTP, or the driver's option to stamp with the computer's time) and record again"
+    )
+    return [Event(code="clock-mismatch", message=message)]
