@@ -26,6 +26,7 @@ def recording(tmp_path_factory):
 @pytest.fixture
 def heliograph(tmp_path, monkeypatch, capsys):
     """Run the command in an empty folder; return code, standard output and the lines of standard error."""
+    monkeypatch.setattr("heliograph.report.write_report", lambda _: [])  # a second a run, and not the subject
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments):

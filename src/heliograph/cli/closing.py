@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["closing_lines", "print_closing", "warning_lines"]
+__all__ = ["closing_lines", "print_closing", "times", "warning_lines"]
 
 
 def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
@@ -47,10 +47,15 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
 def warning_lines(facts: Mapping[str, Any]) -> list[str]:
     """Return one line a warning, repeats counted."""
     return [
-        f"{event['severity']}: {event['message']}" + (f" ({event['count']} times)" if event["count"] > 1 else "")
+        f"{event['severity']}: {event['message']}{times(event['count'], event['message'])}"
         for event in facts["warnings"]
         if event["severity"] != "info"
     ]
+
+
+def times(count: int, message: str) -> str:
+    """Return how often something came, unless it came once or the message tells."""
+    return "" if count == 1 or str(count) in message.split() else f" ({count} times)"
 
 
 def print_closing(facts: Mapping[str, Any], folder: Path, *, json: bool, quiet: bool) -> None:

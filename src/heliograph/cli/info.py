@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.closing import times
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -78,10 +79,8 @@ def _show(report: InfoReport) -> None:
     if report.has_orientation:
         console.print("Imu.orientation is present; no estimator uses it")
     for event in report.events:
-        times = f" ({event.count} times)" if event.count > 1 else ""
-        console.print(
-            f"[{'dim' if event.severity == 'info' else 'yellow'}]{event.severity}:[/] {_plain(event.message)}{times}"
-        )
+        color = "dim" if event.severity == "info" else "yellow"
+        console.print(f"[{color}]{event.severity}:[/] {_plain(event.message)}{times(event.count, event.message)}")
 
 
 def _trouble(stream: StreamInfo) -> str:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["execute", "run"]
 
+_GENERIC_NAMES = ("recording", "bag", "data", "rosbag2")  # say nothing without the folder that they lie in
+
 
 def run(
     recordings: options.Recordings,
@@ -82,12 +84,11 @@ def execute(
     from heliograph.io import open_recording
 
     began = time.perf_counter()
-    name = recordings[0].resolve().stem
     with interruptible() as stop, open_recording(recordings, config.input, sensors=config.sensors) as recording:
         pipeline.sensors_in_use(recording, config)  # a wrong choice is told before a folder is made
-        with _folder(recording, config, output or Path(f"{name}_heliograph"), name, overwrite=overwrite) as folder:
+        with _folder(recording, config, recordings, output, overwrite=overwrite) as folder:
             opening = time.perf_counter() - began
-            bar = [ProgressSink(recording.total_scans, name)] if progress else []
+            bar = [ProgressSink(recording.total_scans, folder.name)] if progress else []
             try:
                 summary = pipeline.run(recording, config, sinks=[*bar, folder], stop=stop, opening_seconds=opening)
             except OutputError as error:
@@ -96,7 +97,9 @@ def execute(
     return folder, summary.interrupted
 
 
-def _folder(recording: Recording, config: RunConfig, path: Path, name: str, *, overwrite: bool) -> RunFolder:
+def _folder(
+    recording: Recording, config: RunConfig, paths: list[Path], output: Path | None, *, overwrite: bool
+) -> RunFolder:
     """Prepare the output folder for a recording."""
     import numpy as np
 
@@ -107,15 +110,15 @@ def _folder(recording: Recording, config: RunConfig, path: Path, name: str, *, o
     from heliograph.pipeline import sensors_in_use
     from heliograph.report import write_report
 
-    known_versions = versions()
+    known_versions, name = versions(), paths[0].resolve().stem
 
     def facts() -> dict[str, Any]:
         recorded = plain(recording.summary())
         return {"inferences": recorded.pop("inferences", []), "recording": recorded, "versions": known_versions}
 
     return RunFolder(
-        path,
-        name=name,
+        output or Path(f"{name}_heliograph"),
+        name=name if name not in _GENERIC_NAMES else f"{paths[0].resolve().parent.name}/{name}",
         config=dump_config(config),
         body=config.output.body,
         T_imu_body=np.asarray(recording.transform(config.output.body)),

@@ -198,5 +198,7 @@ class MapPictures:
             + text(36, 4, view.labels[0], kind="mark", anchor="start")
             + text(0, -36, view.labels[1], kind="mark")
         )
-        parts.append(f'<g transform="translate({24 * size:.1f} {rows - 20 * size:.1f}) scale({size:.3f})">{arrows}</g>')
+        # From above the lower left is mostly free; from the side that is where the way begins.
+        left = 24 * size if view.labels[1] != "z" else columns - (wide + 110) * size
+        parts.append(f'<g transform="translate({left:.1f} {rows - 20 * size:.1f}) scale({size:.3f})">{arrows}</g>')
         return parts

@@ -19,6 +19,8 @@ __all__ = ["Raster", "View", "color_image", "render", "side_view", "top_view"]
 
 _T = TypeVar("_T", bound=np.generic)
 _MAX_WIDTH, _MAX_HEIGHT = 1440, 900
+_LEAST_SIDE_HEIGHT = 0.12  # of the width
+_MOST_GROWTH = 6
 _SHADE_STRENGTH = 0.9
 _NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
@@ -88,6 +90,8 @@ def side_view(points: NDArray[np.float32], path: NDArray[np.float64], top: View)
     low, high = _extent(points, path)
     right, up = top.axes[0], np.array([0.0, 0.0, 1.0])
     axes = np.stack([right, up, np.cross(right, up)])
+    # Some sky over a wide flat scene: a strip of a few pixels shows nothing, and the names need room.
+    high[2] = max(high[2], low[2] + _LEAST_SIDE_HEIGHT * top.shape[1] * top.pixel)
     return _view(axes, (top.labels[0], "z"), low, high, top.shape[1], _MAX_HEIGHT // 2, pixel=top.pixel)
 
 
@@ -123,7 +127,7 @@ def render(points: NDArray[np.float32], view: View, *, point_size: float = 0.1) 
     view : View
         From where.
     point_size : float
-        Spacing of the points; gaps up to that size are closed [m].
+        Spacing of the points; each is drawn that large [m].
     """
     height, width = view.shape
     column, row = np.floor(view.to_pixels(points)).astype(np.int32).T
@@ -138,8 +142,9 @@ def render(points: NDArray[np.float32], view: View, *, point_size: float = 0.1) 
     front = np.full(height * width, -np.inf, dtype=np.float32)
     front[flat] = depth[order]
     picture, before = nearest.reshape(height, width), front.reshape(height, width)
-    for _ in range(int(np.clip(np.ceil(point_size / view.pixel), 1, 6))):
-        picture, before = _close_gaps(picture, before)
+    for _ in range(min(round(point_size / (2.0 * view.pixel)), _MOST_GROWTH)):
+        picture, before = _grow(picture, before)
+    picture, before = _close_gaps(picture, before)
     return Raster(nearest=picture, shade=_shade(before))
 
 
@@ -152,6 +157,18 @@ def _shifted(image: NDArray[_T], step: tuple[int, int], fill: float) -> NDArray[
         max(r, 0) : height - max(-r, 0), max(c, 0) : width - max(-c, 0)
     ]
     return moved
+
+
+def _grow(nearest: NDArray[np.int32], front: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """Give an empty pixel the point in front among those of its neighbours."""
+    grown_nearest, grown_front = nearest.copy(), front.copy()
+    empty = np.isneginf(front)
+    for step in _NEIGHBOURS:
+        beside = _shifted(front, step, -np.inf)
+        take = empty & (beside > grown_front)
+        grown_front[take] = beside[take]
+        grown_nearest[take] = _shifted(nearest, step, -1)[take]
+    return grown_nearest, grown_front
 
 
 def _close_gaps(

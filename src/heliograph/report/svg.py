@@ -57,7 +57,10 @@ class Axis:
         """Return round values inside the axis."""
         if self.log:
             first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
-            return [10.0**power for power in range(first, last + 1)]
+            decades = [10.0**power for power in range(first, last + 1)]
+            # Two decades or fewer would leave the axis nearly bare.
+            between = [m * d for d in (self.low, *decades) for m in (2.0, 5.0) if self.low < m * d < self.high]
+            return decades if len(decades) > 3 else sorted({*decades, *(round(v, 12) for v in between)})
         return nice_ticks(self.low, self.high, count)
 
 
@@ -67,7 +70,7 @@ def nice_ticks(low: float, high: float, count: int) -> list[float]:
         return [low]
     raw = (high - low) / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
-    step = next(multiple * power for multiple in (1.0, 2.0, 5.0, 10.0) if multiple * power >= raw * 0.999)
+    step = next(multiple * power for multiple in (1.0, 2.0, 5.0, 10.0) if multiple * power >= 0.75 * raw)
     first = math.ceil(low / step - 1e-9)
     return [round(i * step, 12) for i in range(first, math.floor(high / step + 1e-9) + 1)]
 

@@ -20,9 +20,9 @@ _STEP = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])  # rises from 0
 
 
 def _polynomial(coefficients: Array, x: Array, derivative: int) -> Array:
-    """Evaluate the ``derivative``-th derivative of an ascending polynomial."""
+    """Evaluate the ``derivative``-th derivative of ascending polynomials, one a column of ``coefficients``."""
     for _ in range(derivative):
-        coefficients = coefficients[1:] * np.arange(1, len(coefficients))
+        coefficients = (coefficients[1:].T * np.arange(1, len(coefficients))).T
     return np.asarray(np.polynomial.polynomial.polyval(x, coefficients))
 
 
@@ -60,7 +60,7 @@ class UniformSpline:
     def __call__(self, u: Array, derivative: int = 0) -> Array:
         """Return the ``derivative``-th derivative by ``u`` at each of ``u``, shape (M, D)."""
         segment = np.clip(np.floor(u).astype(np.int64), 0, self.length - 1)
-        weights = np.stack([_polynomial(row, u - segment, derivative) for row in self._pieces], axis=-1)
+        weights = _polynomial(self._pieces.T, u - segment, derivative).T
         window = self._controls[segment[:, None] + np.arange(_DEGREE + 1)]
         return np.asarray(np.einsum("mj,mjd->md", weights, window))
 
@@ -238,20 +238,23 @@ class WalkedPath:
     def __call__(self, t: Array) -> Motion:
         """Return the motion of the body at times ``t`` [s], shape (M,), from the beginning of the rest."""
         rate = self.profile.speed / self._spacing
-        u, du, ddu = (rate * self.profile.fraction(t, k)[:, None] for k in (-1, 0, 1))
+        envelope = [self.profile.fraction(t, k) for k in range(3)]
+        u, du, ddu = (rate * f[:, None] for f in (self.profile.fraction(t, -1), *envelope[:2]))
         q0, q1, q2 = (self._spline(u[:, 0], k) for k in range(3))
         q, dq, ddq = q0, q1 * du, q2 * du**2 + q1 * ddu
-        gait, g = self._gait, self._oscillate
-        full, half = gait.frequency, gait.frequency / 2.0
+        gait, full, half = self._gait, self._gait.frequency, self._gait.frequency / 2.0
         bounce, roll, pitch, yaw, lateral = (
-            g(t, gait.bounce, full, 0.0),
-            g(t, np.radians(gait.roll_deg), half, 0.7),
-            g(t, np.radians(gait.pitch_deg), full, 1.9),
-            g(t, np.radians(gait.yaw_deg), half, 2.6),
-            g(t, gait.lateral, half, 0.3),
+            _oscillation(t, envelope, amplitude, frequency, phase)
+            for amplitude, frequency, phase in (
+                (gait.bounce, full, 0.0),
+                (np.radians(gait.roll_deg), half, 0.7),
+                (np.radians(gait.pitch_deg), full, 1.9),
+                (np.radians(gait.yaw_deg), half, 2.6),
+                (gait.lateral, half, 0.3),
+            )
         )
-        side, d_side, dd_side = self._sideways(q[:, 3], dq[:, 3], ddq[:, 3])
-        p, v, a = q[:, :3] + 0.0, dq[:, :3] + 0.0, ddq[:, :3] + 0.0
+        side, d_side, dd_side = _sideways(q[:, 3], dq[:, 3], ddq[:, 3])
+        p, v, a = q[:, :3].copy(), dq[:, :3].copy(), ddq[:, :3].copy()
         for total, vertical in zip((p, v, a), bounce, strict=True):
             total[:, 2] += vertical
         b, db, ddb = (value[:, None] for value in lateral)
@@ -263,25 +266,28 @@ class WalkedPath:
         R, omega = so3.from_rpy(*angles.T), _body_rate(angles, rates)
         return Motion(R_world_body=R, p_world=p, v_world=v, a_world=a, omega_body=omega)
 
-    @staticmethod
-    def _sideways(yaw: Array, d_yaw: Array, dd_yaw: Array) -> tuple[Array, Array, Array]:
-        """Return the unit vector to the left of the path and its first two derivatives by time."""
-        zero = np.zeros_like(yaw)
-        ahead = np.stack([np.cos(yaw), np.sin(yaw), zero], axis=1)
-        left = np.stack([-np.sin(yaw), np.cos(yaw), zero], axis=1)
-        d_yaw, dd_yaw = d_yaw[:, None], dd_yaw[:, None]
-        return left, -d_yaw * ahead, -dd_yaw * ahead - d_yaw**2 * left
 
-    def _oscillate(self, t: Array, amplitude: float, frequency: float, phase: float) -> tuple[Array, Array, Array]:
-        """Sinusoid under the speed's envelope, with its first two derivatives by time."""
-        e, de, dde = (self.profile.fraction(t, k) for k in range(3))
-        w = 2.0 * np.pi * frequency
-        s, c = np.sin(w * t + phase), np.cos(w * t + phase)
-        return (
-            amplitude * e * s,
-            amplitude * (de * s + e * w * c),
-            amplitude * (dde * s + 2.0 * de * w * c - e * w**2 * s),
-        )
+def _sideways(yaw: Array, d_yaw: Array, dd_yaw: Array) -> tuple[Array, Array, Array]:
+    """Return the unit vector to the left of the path and its first two derivatives by time."""
+    zero = np.zeros_like(yaw)
+    ahead = np.stack([np.cos(yaw), np.sin(yaw), zero], axis=1)
+    left = np.stack([-np.sin(yaw), np.cos(yaw), zero], axis=1)
+    d_yaw, dd_yaw = d_yaw[:, None], dd_yaw[:, None]
+    return left, -d_yaw * ahead, -dd_yaw * ahead - d_yaw**2 * left
+
+
+def _oscillation(
+    t: Array, envelope: list[Array], amplitude: float, frequency: float, phase: float
+) -> tuple[Array, Array, Array]:
+    """Return a sinusoid under an envelope, and its first two derivatives by time; ``envelope`` comes with its own."""
+    e, de, dde = envelope
+    w = 2.0 * np.pi * frequency
+    s, c = np.sin(w * t + phase), np.cos(w * t + phase)
+    return (
+        amplitude * e * s,
+        amplitude * (de * s + e * w * c),
+        amplitude * (dde * s + 2.0 * de * w * c - e * w**2 * s),
+    )
 
 
 def _body_rate(angles: Array, rates: Array) -> Array:

@@ -1,0 +1,222 @@
+"""The contract of the command line, on a recording small enough to run many times."""
+
+import json
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from heliograph.cli import progress
+from heliograph.cli.main import main
+from heliograph.config_toml import load_config
+from heliograph.io.clouds import read_cloud
+from heliograph.io.tum import read_tum
+from heliograph.sim import find_scenario
+from heliograph.sim.write import write_recording
+
+FILES = {
+    "trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum", "map.ply", "map.png", "scans.csv", "run.json",
+    "config.toml", "report.html",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    scenario = find_scenario("room").thinned(beams=16, columns=128, duration=5.0).varied(walk={"rest": 1.5})
+    return write_recording(tmp_path_factory.mktemp("cli") / "room", scenario, seed=2).folder
+
+
+@pytest.fixture
+def no_report(monkeypatch):
+    """Leave out the pictures: a second a run, and they have their own tests."""
+    monkeypatch.setattr("heliograph.report.write_report", lambda _: [])
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        capsys.readouterr()
+        code = main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_run_writes_the_contract_files_into_the_default_folder(call, recording, tmp_path):
+    code, out, _ = call("run", recording)
+    assert code == 0
+    folder = tmp_path / "room_heliograph"
+    assert {path.name for path in folder.iterdir()} == FILES
+    last = out.splitlines()[-6:]
+    assert last[0].startswith("distance ") and "start-end gap" in last[0]
+    assert "ms a scan" in last[1] and last[2].startswith("worst weak direction")
+    assert all(name in last[3] for name in FILES) and last[5] == "status: ok"
+    rows = read_tum(folder / "trajectory.tum")
+    assert len(rows) == json.loads((folder / "run.json").read_text())["scans"]
+
+
+def test_run_json_is_one_object_and_the_same_as_the_file(call, recording, tmp_path, no_report):
+    code, out, err = call("run", recording, "-o", "out", "--json")
+    facts = json.loads(out)
+    assert code == 0 and facts == json.loads((tmp_path / "out" / "run.json").read_text())
+    assert {"status", "versions", "recording", "inferences", "timings", "peak_memory_mb", "warnings"} <= set(facts)
+    assert "distance" not in err
+
+
+def test_run_quiet_says_nothing_about_a_good_run(call, recording, no_report):
+    assert call("run", recording, "--quiet") == (0, "", "")
+
+
+def test_run_options_reach_the_resolved_configuration(call, recording, tmp_path, no_report):
+    (tmp_path / "base.toml").write_text("threads = 2\n[output]\nmap_voxel = 0.5\nmap_format = 'pcd'\n")
+    call("run", recording, "-o", "out", "-q", "--config", "base.toml", "--set", "output.map_voxel=0.3", "--threads", 1)
+    config = load_config(tmp_path / "out" / "config.toml")
+    assert (config.threads, config.output.map_voxel, config.output.map_format) == (1, 0.3, "pcd")
+    assert (tmp_path / "out" / "map.pcd").exists() and not (tmp_path / "out" / "map.ply").exists()
+
+
+def test_run_same_bits_with_one_thread_and_two(call, recording, tmp_path, no_report):
+    for threads in (1, 2):
+        assert call("run", recording, "-o", f"out{threads}", "-q", "--threads", threads)[0] == 0
+    for name in ("trajectory.tum", "trajectory_imu_rate.tum", "map.ply"):
+        assert (tmp_path / "out1" / name).read_bytes() == (tmp_path / "out2" / name).read_bytes(), name
+
+
+def test_run_frame_lidar_moves_the_rows_by_the_mounting(call, recording, tmp_path, no_report):
+    call("run", recording, "-o", "imu", "-q")
+    call("run", recording, "-o", "lidar", "-q", "--frame", "lidar")
+    imu, lidar = (read_tum(tmp_path / body / "trajectory.tum").T_frame_body for body in ("imu", "lidar"))
+    facts = json.loads((tmp_path / "lidar" / "run.json").read_text())
+    T_imu_lidar = np.array(facts["recording"]["T_imu_lidar"])
+    np.testing.assert_allclose(lidar, imu @ T_imu_lidar, atol=1e-7)
+
+
+def test_run_start_and_duration_use_a_part(call, recording, tmp_path, no_report):
+    _, out, _ = call("run", recording, "-o", "part", "--json", "--start", 1, "--duration", 2)
+    assert json.loads(out)["duration_s"] == pytest.approx(2.0, abs=0.25)
+
+
+@pytest.mark.parametrize(("sensors", "files"), [("lidar", FILES - {"trajectory_imu_rate.tum"}), ("imu", None)])
+def test_run_on_one_sensor_says_so(call, recording, tmp_path, sensors, files):
+    code, out, _ = call("run", recording, "-o", "out", "--json", "--sensors", sensors)
+    facts = json.loads(out)
+    assert code == 0 and facts["sensors"] == [sensors]
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    if sensors == "lidar":
+        assert written == files
+    else:
+        assert facts["status"] == "degraded" and "map.ply" not in written and "report.html" in written
+
+
+def test_run_interrupted_saves_what_is_done_and_exits_130(call, recording, tmp_path, monkeypatch):
+    class Impatient(progress.ProgressSink):
+        def add(self, result):
+            if result.index == 20:
+                signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(progress, "ProgressSink", Impatient)
+    code, _, err = call("run", recording, "-o", "out")
+    assert code == 130 and "interrupted" in err
+    facts = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert facts["interrupted"] and 20 < facts["scans"] < 30
+    assert len(read_tum(tmp_path / "out" / "trajectory.tum")) == facts["scans"]
+    assert len(read_cloud(tmp_path / "out" / "map.ply")) > 1000
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_run_on_a_full_disk_leaves_valid_files_and_one_line(call, recording, tmp_path, no_report):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, limits[1]))  # every file ends at 40 KB: the map does not fit
+    try:
+        code, out, err = call("run", recording, "-o", "out", "-q")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert code == 2 and out == ""
+    assert err.startswith("error: cannot write") and len(err.splitlines()) == 1 and "out" in err
+    written = {path.name for path in (tmp_path / "out").iterdir()}
+    assert "map.ply" not in written, "a map that is cut off is worse than none"
+    rows = read_tum(tmp_path / "out" / "trajectory.tum")
+    assert len(rows) > 5
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["failure"]
+
+
+def test_info_shows_the_evidence(call, recording):
+    code, out, _ = call("info", recording)
+    assert code == 0
+    for word in ("/points", "/imu/data", "tf_static", "point time unit", "ns", "200"):
+        assert word in out
+    code, out, _ = call("info", recording, "--json")
+    report = json.loads(out)
+    assert code == 0 and {s["sensor"] for s in report["streams"]} >= {"lidar", "imu"}
+    assert all(item["evidence"] for item in report["inferences"])
+
+
+def test_evaluate_of_a_file_against_itself_is_zero(call, recording):
+    truth = recording / "groundtruth_imu.tum"
+    code, out, _ = call("evaluate", truth, truth, "--delta", 1, "--json")
+    assert code == 0 and json.loads(out)["absolute"]["rmse"] < 1e-9
+    code, out, _ = call("evaluate", truth, recording, "--delta", 1)
+    assert code == 0 and "ATE" in out and "RPE" in out
+
+
+def test_evaluate_reads_kitti_files(call, tmp_path):
+    poses = np.tile(np.eye(4), (30, 1, 1))
+    poses[:, 0, 3] = np.arange(30)
+    poses[:, 1, 3] = np.sin(np.arange(30))
+    np.savetxt(tmp_path / "a.txt", poses[:, :3].reshape(30, 12))
+    poses[:, 2, 3] += 0.5
+    np.savetxt(tmp_path / "b.txt", poses[:, :3].reshape(30, 12))
+    _, out, _ = call("evaluate", "a.txt", "b.txt", "--align", "none", "--json")
+    assert json.loads(out)["absolute"]["rmse"] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("arguments", [("--align", "sim3"), ("--delta", "-1"), ("--time-offset", "later")])
+def test_evaluate_wrong_options_are_one_line(call, recording, arguments):
+    truth = recording / "groundtruth_imu.tum"
+    code, _, err = call("evaluate", truth, truth, *arguments)
+    assert code == 2 and len(err.splitlines()) == 1
+
+
+def test_simulate_same_seed_same_bytes(call, tmp_path):
+    scenario = Path("tiny.toml")
+    from heliograph.sim.scenario import to_toml
+
+    scenario.write_text(to_toml(find_scenario("room").thinned(beams=4, columns=32, duration=1.0)))
+    for name in ("a", "b"):
+        code, out, _ = call("simulate", "tiny.toml", "-o", name, "--seed", 3, "--json")
+        assert code == 0 and json.loads(out)["seed"] == 3
+    for name in ("recording.mcap", "groundtruth_imu.tum", "groundtruth_lidar.tum", "scenario.toml"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
+    code, _, err = call("simulate", "tiny.toml", "-o", "a")
+    assert code == 2 and len(err.splitlines()) == 1
+
+
+def test_version_and_help(call):
+    assert call("--version")[1].startswith("heliograph ")
+    for command in ("run", "info", "evaluate", "simulate", "demo"):
+        code, out, _ = call(command, "--help")
+        assert code == 0 and "--help" in out
+    assert call()[0] == 0
+
+
+def test_defect_is_told_from_bad_input(call, recording, monkeypatch):
+    def broken(*arguments, **keywords):
+        raise ZeroDivisionError("one over nothing")
+
+    monkeypatch.setattr("heliograph.pipeline.make_odometry", broken)
+    code, _, err = call("run", recording, "-o", "out", "-q")
+    assert code == 1 and "defect of Heliograph" in err.splitlines()[-1] and "Traceback" in err
+    assert not Path("out").exists()
+
+
+def test_help_imports_nothing_heavy():
+    code = "import sys, heliograph.cli.main as m; m.main(['--help']); print(*sorted(sys.modules), file=sys.stderr)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stderr.split()
+    assert not {"numpy", "rosbags", "matplotlib", "heliograph._core"} & set(loaded)
