@@ -102,7 +102,8 @@ def _gyro(
             f"it reads {resting:.3g} at rest: as rad/s a bias of {np.rad2deg(resting):.0f} deg/s, as deg/s a common one"
         )
         return "deg/s", inferred(name, "deg/s", text)
-    text = f"largest rate {largest:.4g}, gravity turns too little to tell (r {correlation:.2f}): the ROS unit"
+    turned = f"gravity turns too little to tell (r {correlation:.2f})" if count else "gravity turns too little to tell"
+    text = f"largest rate {largest:.4g}, {turned}: the ROS unit"
     if resting is not None:
         text = f"it reads {resting:.3g} at rest, a common bias in rad/s; {text}"
     return "rad/s", inferred(name, "rad/s", text, source="default" if resting is None else "data")

@@ -20,6 +20,7 @@ from heliograph.io.scans import TOLERANT, PointTiming, valid_points
 __all__ = ["TimingResult", "infer_timing"]
 
 DEFAULT_PERIOD_NS = 100_000_000
+FEWEST_POINTS = 100
 NEAR_NS = 10_000_000_000  # an absolute time further than this from the header stamp counts in another clock
 
 
@@ -296,7 +297,9 @@ def _without_field(clouds: Sequence[RawCloud], base: PointTiming, field: str | N
 
 def _sweep_geometry(clouds: Sequence[RawCloud]) -> tuple[str, int, str]:
     """Return method, direction and evidence of a spinning lidar's sweep."""
-    votes = [_turn(cloud) for cloud in clouds[:5]]
+    votes = [_turn(cloud) for cloud in clouds if len(valid_points(cloud)[0]) >= FEWEST_POINTS][:5]
+    if not votes:
+        return "none", 1, "too few points"
     agreed = [v for v in votes if v[0] == votes[0][0] and v[1] == votes[0][1]]
     if votes[0][0] == "none" or len(agreed) < len(votes):
         return "none", 1, "no steady turn in the azimuths" if votes[0][0] == "none" else "the scans disagree"
@@ -324,8 +327,6 @@ def _turn(cloud: RawCloud) -> tuple[str, int, str]:
             return "columns", sign, f"{x.shape[1]} columns turn {progress:+.2f} times"
         return "none", 1, "columns do not turn"
     points, _ = valid_points(cloud)
-    if len(points) < 100:
-        return "none", 1, "too few points"
     azimuth = np.arctan2(points[:, 1].astype(np.float64), points[:, 0].astype(np.float64))
     progress, steady = _progress(azimuth)
     if abs(progress) > 0.9 and steady > 0.9:
