@@ -1,4 +1,4 @@
-"""The seam's example: a local map of one's own. It keeps every point and fits a plane to the neighbours of each query."""
+"""The seam's example, a local map of one's own: keeps every point, fits a plane to the neighbours of each query."""
 
 import numpy as np
 
@@ -14,9 +14,12 @@ class NeighbourMap:
 
     def insert(self, points_body, T_odom_body):
         finite = points_body[np.isfinite(points_body).all(axis=1)]
-        both = np.concatenate([self.points, finite @ T_odom_body[:3, :3].T + T_odom_body[:3, 3]])
+        new = finite @ T_odom_body[:3, :3].T + T_odom_body[:3, 3]
+        known, touched = ({*map(tuple, np.floor(some))} for some in (self.points, new))
+        both = np.concatenate([self.points, new])
         _, first = np.unique(np.floor(both / self.spacing), axis=0, return_index=True)
         self.points, self._tree = both[np.sort(first)], None
+        return len(touched - known) / max(len(touched), 1)
 
     def prune(self, centre_odom):
         near = np.linalg.norm(self.points - centre_odom, axis=1) <= self.radius

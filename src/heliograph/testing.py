@@ -173,7 +173,8 @@ def assert_local_map(make_map: Callable[[], LocalMap], rng: np.random.Generator)
     local_map, twin = make_map(), make_map()
     _assert_nothing_found(local_map, cloud_odom, "an empty map")
     for some in (local_map, twin):
-        some.insert(cloud_body, T)
+        share = some.insert(cloud_body, T)
+        assert share == 1.0, f"the first scan is new by {share:.0%}, not all of it"
     size = len(local_map)
     assert size > 0, "a map with points has length 0"
     local_map.insert(cloud_body[:0], T)
@@ -181,13 +182,16 @@ def assert_local_map(make_map: Callable[[], LocalMap], rng: np.random.Generator)
     assert len(local_map) == size, "an empty cloud or one of NaN changed the map"
     for offset, gate in ((0.03, 0.2), (-0.1, 0.15), (0.1, 0.05)):
         _assert_walls_found(local_map, twin, walls, rng, offset, gate)
+    share = local_map.insert(cloud_body, T)
+    assert share == 0.0, f"the same scan again is new by {share:.0%}"
     before = local_map.planes_at(cloud_odom, gate=0.1)
     local_map.prune(walls.centre)
     after = local_map.planes_at(cloud_odom, gate=0.1)
     np.testing.assert_array_equal(after.source, before.source, err_msg="pruning around the walls forgot some")
     local_map.prune(walls.centre + 1e5)
     _assert_nothing_found(local_map, cloud_odom, "a map pruned 100 km away")
-    local_map.insert(cloud_body, T)
+    for _ in range(2):
+        local_map.insert(cloud_body, T)
     np.testing.assert_array_equal(
         local_map.planes_at(cloud_odom, gate=0.1).source, before.source, err_msg="the map does not fill again"
     )

@@ -22,7 +22,7 @@ def rows_slowly(p, n, T_odom_imu, T_imu_lidar, before_end, columns):
 
 
 def sums_slowly(terms, columns, kernel):
-    """Information, gradient, weight, robust weight, square, cost, matches of terms (J rows, residual vector, variance)."""
+    """Information, gradient, weight, robust weight, square, cost and count of terms (J rows, residuals, variance)."""
     A, b = np.zeros((columns, columns)), np.zeros(columns)
     weight = robust = square = cost = 0.0
     for J, r, variance in terms:

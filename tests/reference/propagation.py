@@ -1,5 +1,7 @@
 """Slow, obvious twin of the native inertial propagation: one step at a time, matrix exponentials by their series."""
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -14,7 +16,7 @@ def time_grid(stamps_ns, t0, t1, max_step):
     """Start, samples inside, end; what is longer than a step and a quarter is cut into equal parts."""
     knots = sorted({t0, t1, *(int(t) for t in stamps_ns if t0 < t < t1)})
     grid = [t0]
-    for a, b in zip(knots, knots[1:], strict=False):
+    for a, b in pairwise(knots):
         parts = 1
         while (b - a) > (parts + 0.25) * max_step * 1e9:
             parts += 1
@@ -27,7 +29,7 @@ def propagate_slowly(imu, state, end_ns, *, noise, config, g_basis):
     grid = time_grid(imu.stamps_ns, state.stamp_ns, end_ns, config.max_step)
     R, p, v = state.R_odom_imu, state.p_odom, state.v_odom
     path, transition, added, held_s = [(R, p, v)], np.eye(17), np.zeros((17, 17)), 0.0
-    for a, b in zip(grid, grid[1:], strict=False):
+    for a, b in pairwise(grid):
         dt, middle = 1e-9 * float(b - a), int(a) + (int(b) - int(a)) // 2
         gyro = np.array([np.interp(middle - a, imu.stamps_ns - a, imu.gyro[:, i]) for i in range(3)])
         accel = np.array([np.interp(middle - a, imu.stamps_ns - a, imu.accel[:, i]) for i in range(3)])

@@ -15,7 +15,7 @@ def test_example_map_obeys_the_law(rng):
 
 class IgnoresThePose(NeighbourMap):
     def insert(self, points_body, T_odom_body):
-        super().insert(points_body, np.eye(4))
+        return super().insert(points_body, np.eye(4))
 
 
 class IgnoresTheGate(NeighbourMap):
@@ -42,7 +42,12 @@ class LongNormals(NeighbourMap):
 
 class ChokesOnNan(NeighbourMap):
     def insert(self, points_body, T_odom_body):
-        super().insert(np.nan_to_num(points_body), T_odom_body)
+        return super().insert(np.nan_to_num(points_body), T_odom_body)
+
+
+class NothingIsNew(NeighbourMap):
+    def insert(self, points_body, T_odom_body):
+        return 0.0 * super().insert(points_body, T_odom_body)
 
 
 class SidewaysPoints(NeighbourMap):
@@ -54,7 +59,16 @@ class SidewaysPoints(NeighbourMap):
 
 @pytest.mark.parametrize(
     "broken",
-    [IgnoresThePose, IgnoresTheGate, ForgetsNothing, ForgetsAll, LongNormals, ChokesOnNan, SidewaysPoints],
+    [
+        IgnoresThePose,
+        IgnoresTheGate,
+        ForgetsNothing,
+        ForgetsAll,
+        LongNormals,
+        ChokesOnNan,
+        SidewaysPoints,
+        NothingIsNew,
+    ],
 )
 def test_law_catches_a_broken_map(rng, broken):
     with pytest.raises(AssertionError):

@@ -31,7 +31,7 @@ class AnyMap:
         self.inner = inner
 
     def insert(self, points_body, T_odom_body):
-        self.inner.insert(points_body, T_odom_body)
+        return self.inner.insert(points_body, T_odom_body)
 
     def prune(self, centre_odom):
         self.inner.prune(centre_odom)
@@ -114,7 +114,7 @@ def test_native_sums_equal_those_over_any_map(rng, kernel, kind):
 def test_pose_motion_and_mounting_columns_are_derivatives_of_the_deskewed_residual(seed, moving):
     """The whole chain, from a raw point through mounting, de-skew and pose to the residual, at a large pose.
 
-    Position and velocity are exact always, the others to first order in the motion within the sweep: exact in a still one.
+    Position and velocity are exact; the others to first order in the motion within the sweep, so exact in a still one.
     """
     rng = np.random.default_rng(seed)
     cloud_map = VoxelMap(CONFIG)
@@ -190,7 +190,7 @@ def test_rotating_the_world_changes_nothing_but_the_frame(rng):
 
 
 def test_moving_world_and_sensor_together_by_whole_cubes_changes_nothing(rng):
-    fast, _, T, points = scene(rng)
+    _, _, T, points = scene(rng)
     shift = np.eye(4)
     shift[:3, 3] = [800.0, -1600.0, 80.0]
     far = VoxelMap(CONFIG)
