@@ -50,7 +50,7 @@ void bind_maps(nb::module_& m) {
       .def("insert",
            [](VoxelMap& map, const Points& points, const Matrix4& T) {
              nb::gil_scoped_release release;
-             map.insert(span_of(points), T.data());
+             return map.insert(span_of(points), T.data());
            },
            "points_body"_a.noconvert(), "T_odom_body"_a.noconvert())
       .def("prune",

@@ -60,7 +60,8 @@ std::vector<VoxelMap::Delta> VoxelMap::gather(std::span<const float> points_body
   return deltas;
 }
 
-void VoxelMap::add(const Delta& delta, uint64_t level) {
+// Returns whether the cube is new.
+bool VoxelMap::add(const Delta& delta, uint64_t level) {
   const Cube cube{delta.cube.x >> level, delta.cube.y >> level, delta.cube.z >> level};
   const uint64_t key = pack(level, cube);
   const auto [id, is_new] = index_.insert(key, static_cast<uint32_t>(planes_.size()));
@@ -69,7 +70,7 @@ void VoxelMap::add(const Delta& delta, uint64_t level) {
     moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}});
   }
   Moments& m = moments_[id];
-  if (m.count >= static_cast<float>(settings_.max_points)) return;
+  if (m.count >= static_cast<float>(settings_.max_points)) return false;
   const double fine = settings_.voxel, coarse = edge(level);
   const float d[3] = {
       static_cast<float>((static_cast<double>(delta.cube.x) + 0.5) * fine - (static_cast<double>(cube.x) + 0.5) * coarse),
@@ -83,6 +84,7 @@ void VoxelMap::add(const Delta& delta, uint64_t level) {
   for (int i = 0; i < 3; ++i)
     for (int j = i; j < 3; ++j, ++k) m.outer[k] += delta.outer[k] + s[i] * d[j] + d[i] * s[j] + n * d[i] * d[j];
   touched_.push_back(id);
+  return is_new;
 }
 
 void VoxelMap::refit(uint32_t id) {
@@ -116,15 +118,21 @@ void VoxelMap::refit(uint32_t id) {
   plane.inv_spread = static_cast<float>(1.0 / spread[1]);
 }
 
-void VoxelMap::insert(std::span<const float> points_body, const double* T_odom_body) {
+double VoxelMap::insert(std::span<const float> points_body, const double* T_odom_body) {
   const std::vector<Delta> deltas = gather(points_body, T_odom_body);
   touched_.clear();
+  FlatIndex coarse(12);
+  size_t created = 0;
+  const auto top = static_cast<uint64_t>(settings_.levels - 1);
   for (const Delta& delta : deltas) {
-    for (uint64_t level = 0; level < static_cast<uint64_t>(settings_.levels); ++level) add(delta, level);
+    for (uint64_t level = 0; level < top; ++level) add(delta, level);
+    created += add(delta, top) ? 1 : 0;
+    coarse.insert(pack(top, {delta.cube.x >> top, delta.cube.y >> top, delta.cube.z >> top}), 0);
     points_.insert(delta.first);
   }
   // A cube that several deltas reached is listed as often; its second refit finds nothing new to do.
   for (const uint32_t id : touched_) refit(id);
+  return coarse.size() == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(coarse.size());
 }
 
 void VoxelMap::prune(const double* centre, double radius, size_t max_voxels) {

@@ -40,8 +40,9 @@ class VoxelMap {
  public:
   explicit VoxelMap(const VoxelMapSettings& settings);
 
-  // Adds points of the body frame at pose T_odom_body (row-major 4x4) and refits the planes that changed enough.
-  void insert(std::span<const float> points_body, const double* T_odom_body);
+  // Adds points of the body frame at pose T_odom_body (row-major 4x4) and refits the planes that changed enough. Returns
+  // which share of the coarsest cubes touched was new: how much of the scan extends the map.
+  double insert(std::span<const float> points_body, const double* T_odom_body);
 
   // Keeps the cubes within `radius` of `centre`, and of those at most `max_voxels`, the nearest.
   void prune(const double* centre, double radius, size_t max_voxels);
@@ -58,7 +59,7 @@ class VoxelMap {
  private:
   struct Delta;
   std::vector<Delta> gather(std::span<const float> points_body, const double* T_odom_body);
-  void add(const Delta& delta, uint64_t level);
+  bool add(const Delta& delta, uint64_t level);
   void refit(uint32_t id);
 
   VoxelMapSettings settings_;

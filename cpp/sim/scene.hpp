@@ -5,23 +5,9 @@
 #include <cstdint>
 #include <vector>
 
-#include <Eigen/Core>
+#include "sim/primitive.hpp"
 
 namespace heliograph::sim {
-
-enum class Shape : std::int32_t { rectangle = 0, box = 1, cylinder = 2 };
-
-// One surface patch. `R_world_local` has the local axes as columns; the rectangle lies in local z = 0, the
-// cylinder's axis is local z with radius half.x(). All lengths in metres.
-struct Primitive {
-  Eigen::Matrix3d R_world_local;
-  Eigen::Vector3d center;
-  Eigen::Vector3d half;
-  Shape shape;
-  double reflectivity;  // of the brighter texture cells, 0 to 1
-  double contrast;      // the darker cells reflect (1 - contrast) of that
-  double period;        // edge of a texture cell [m]
-};
 
 struct Hit {
   double range = 0.0;        // [m]; 0 where nothing was hit

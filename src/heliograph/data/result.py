@@ -39,6 +39,9 @@ class ScanResult:
     covariance : (K, K) float64
         Of the filter's error state: rotation (body), position (odom), velocity (odom), gyro bias, accelerometer bias,
         gravity ... (CONVENTIONS.md, 2).
+    pose_covariance : (6, 6) float64
+        Of rotation (body) and position (odom) against the odom frame's origin: the filter's own, which takes the map as
+        it is, plus what the map itself has drifted.
     path : Trajectory
         odom frame, imu body: the poses from the previous scan's end to this one's, at the IMU samples in between and at
         both ends, and at ``header_stamp_ns`` where that lies inside.
@@ -85,6 +88,7 @@ class ScanResult:
     g_odom: NDArray[np.float64]
     T_imu_lidar: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    pose_covariance: NDArray[np.float64]
     path: Trajectory
     T_odom_imu_header: NDArray[np.float64]
     points_imu: NDArray[np.float32]

@@ -167,15 +167,16 @@ class _Salvage:
 
     def _chunks(self) -> Iterator[tuple[dict[str, bytes], memoryview]]:
         """Yield the records of the file, whose last may be cut off."""
+        size_of_file = self._path.stat().st_size
         with self._path.open("rb") as file:
             file.seek(len(MAGIC))
             while len(size := file.read(4)) == 4:
-                head = file.read(struct.unpack("<I", size)[0])
+                head = file.read(min(struct.unpack("<I", size)[0], size_of_file))
                 length = file.read(4)
                 if len(length) < 4:
                     return
                 (wanted,) = struct.unpack("<I", length)
-                data = memoryview(file.read(wanted))
+                data = memoryview(file.read(min(wanted, size_of_file)))
                 yield _header(memoryview(head)), data
 
     def _messages(self, names: dict[int, tuple[str, str]]) -> Iterator[tuple[int, int, memoryview]]:

@@ -13,12 +13,20 @@ from heliograph.data import Event
 from heliograph.io.inference import Inference, inferred
 from heliograph.io.raw import RawImu
 
-__all__ = ["GRAVITY", "ImuUnits", "infer_imu_units"]
+__all__ = ["GRAVITY", "ImuUnits", "infer_imu_units", "is_usable"]
 
 GRAVITY = 9.80665
 ACCEL_UNITS = {"m/s^2": 1.0, "g": GRAVITY}
 GYRO_UNITS = {"rad/s": 1.0, "deg/s": float(np.pi / 180)}
 FASTEST = 40.0  # rad/s; robots' gyros end at 2000 deg/s, which is 35
+
+
+LARGEST = 1e5  # in any unit; beyond it a message is damaged
+
+
+def is_usable(sample: RawImu) -> bool:
+    """Tell whether all six values are numbers that a sensor can give; NaN fails the comparison."""
+    return all(-LARGEST < value < LARGEST for value in (*sample.gyro, *sample.accel))
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +49,10 @@ def infer_imu_units(samples: Sequence[RawImu], config: InputConfig) -> ImuUnits:
     config : InputConfig
         Overrides.
     """
-    accel = np.array([s.accel for s in samples], dtype=np.float64)
-    gyro = np.array([s.gyro for s in samples], dtype=np.float64)
+    samples = [sample for sample in samples if is_usable(sample)]
+    accel = np.array([s.accel for s in samples], dtype=np.float64).reshape(-1, 3)
+    gyro = np.array([s.gyro for s in samples], dtype=np.float64).reshape(-1, 3)
     stamps = np.array([s.stamp_ns for s in samples], dtype=np.int64)
-    finite = np.isfinite(accel).all(axis=1) & np.isfinite(gyro).all(axis=1)
-    accel, gyro, stamps = accel[finite], gyro[finite], stamps[finite]
     accel_unit, accel_inference, events = _accel(accel, config.accel_unit)
     gyro_unit, gyro_inference = _gyro(accel * ACCEL_UNITS[accel_unit], gyro, stamps, config.gyro_unit)
     return ImuUnits(ACCEL_UNITS[accel_unit], GYRO_UNITS[gyro_unit], (accel_inference, gyro_inference), tuple(events))
@@ -95,7 +102,8 @@ def _gyro(
             f"it reads {resting:.3g} at rest: as rad/s a bias of {np.rad2deg(resting):.0f} deg/s, as deg/s a common one"
         )
         return "deg/s", inferred(name, "deg/s", text)
-    text = f"largest rate {largest:.4g}, gravity turns too little to tell (r {correlation:.2f}): the ROS unit"
+    turned = f"gravity turns too little to tell (r {correlation:.2f})" if count else "gravity turns too little to tell"
+    text = f"largest rate {largest:.4g}, {turned}: the ROS unit"
     if resting is not None:
         text = f"it reads {resting:.3g} at rest, a common bias in rad/s; {text}"
     return "rad/s", inferred(name, "rad/s", text, source="default" if resting is None else "data")

@@ -73,6 +73,8 @@ class InfoReport:
         That tf knows.
     has_orientation : bool
         The IMU messages carry one; no estimator uses it.
+    valid_fixes : int
+        GNSS messages that report a fix.
     """
 
     recording: str
@@ -85,6 +87,7 @@ class InfoReport:
     points_per_scan: float
     frames: tuple[str, ...]
     has_orientation: bool
+    valid_fixes: int
 
     def as_dict(self) -> dict[str, object]:
         """Return plain values for JSON."""
@@ -101,11 +104,10 @@ def inspect_recording(recording: Recording) -> InfoReport:
     """
     tally = recording.survey()
     found = recording.interpretation
-    gnss_frame = ""
     chosen = (
         (found.lidar, found.lidar_frame, tally.lidar),
         (found.imu, found.imu_frame, tally.imu),
-        (found.gnss, gnss_frame, tally.gnss),
+        (found.gnss, found.gnss_frame, tally.gnss),
     )
     streams = tuple(_stream(topic, frame, watch) for topic, frame, watch in chosen if topic)
     seen = [watch for topic, _, watch in chosen if topic and watch.count]
@@ -121,6 +123,7 @@ def inspect_recording(recording: Recording) -> InfoReport:
         points_per_scan=tally.points / tally.lidar.count if tally.lidar.count else 0.0,
         frames=found.frames.frames,
         has_orientation=found.has_orientation,
+        valid_fixes=tally.valid_fixes,
     )
 
 

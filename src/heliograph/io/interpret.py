@@ -23,6 +23,8 @@ CLOUDS, SAMPLES, FEW_SAMPLES = 12, 400, 20
 USUAL_PROBE_NS = 3_000_000_000
 LONGEST_PROBE_NS = 20_000_000_000
 DEFAULT_IMU_PERIOD_NS = 5_000_000
+FURTHEST_CLOCKS_NS = 1_000_000_000
+Note = Inference | Event
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,8 +43,10 @@ class Interpretation:
         LiDAR on IMU.
     frames : FrameTree
         All frames.
-    lidar_frame, imu_frame : str
+    lidar_frame, imu_frame, gnss_frame : str
         As the messages name them.
+    imu_stamp : str
+        ``"header"``, or ``"received"`` where the samples carry no usable stamp.
     imu_period_ns : int
         From sample to sample [ns].
     has_orientation : bool
@@ -66,6 +70,8 @@ class Interpretation:
     frames: FrameTree
     lidar_frame: str
     imu_frame: str
+    gnss_frame: str
+    imu_stamp: str
     imu_period_ns: int
     has_orientation: bool
     start_ns: int
@@ -131,21 +137,11 @@ def interpret(source: RawSource, config: InputConfig, sensors: str = "auto") -> 
     gnss = max(probe.fixes, key=lambda name: len(probe.fixes[name]), default=None)
     clouds, samples = probe.clouds.get(lidar or "", []), probe.samples.get(imu or "", [])
     _require_messages(source, lidar, imu, clouds, samples, sensors)
-    notes = [*lidar_why, *imu_why]
-    inferences = [note for note in notes if isinstance(note, Inference)]
-    events = [note for note in notes if isinstance(note, Event)]
-    timing, units = PointTiming(), None
-    if clouds:
-        result = infer_timing(clouds, config)
-        timing = result.timing
-        inferences += result.inferences
-        events += result.events
-    imu_period_ns = DEFAULT_IMU_PERIOD_NS
-    if samples:
-        units = infer_imu_units(samples, config)
-        imu_period_ns, rate = _imu_period(samples)
-        inferences += [rate, *units.inferences]
-        events += units.events
+    timing, lidar_notes = _read_lidar(clouds, config)
+    units, imu_period_ns, imu_stamp, imu_notes = _read_imu(samples, config)
+    notes = [*lidar_why, *imu_why, *lidar_notes, *imu_notes]
+    if timing.stamp == imu_stamp == "header":
+        notes += _clock_mismatch(clouds, samples)
     frames = FrameTree(probe.transforms)
     mounting = find_mounting(clouds, samples, frames, source.factory_T_imu_lidar(), config.extrinsic)
     return Interpretation(
@@ -158,13 +154,15 @@ def interpret(source: RawSource, config: InputConfig, sensors: str = "auto") -> 
         frames=frames,
         lidar_frame=clouds[0].frame_id.lstrip("/") if clouds else "",
         imu_frame=samples[0].frame_id.lstrip("/") if samples else "",
+        gnss_frame=probe.fixes[gnss][0].frame_id.lstrip("/") if gnss else "",
+        imu_stamp=imu_stamp,
         imu_period_ns=imu_period_ns,
         has_orientation=any(sample.has_orientation for sample in samples),
         start_ns=probe.start_ns or 0,
         points_per_scan=int(np.median([c.columns["x"].size for c in clouds if "x" in c.columns] or [0])),
         fields=tuple(clouds[0].columns) if clouds else (),
-        inferences=(*inferences, *mounting.inferences),
-        events=(*events, *mounting.events),
+        inferences=(*(note for note in notes if isinstance(note, Inference)), *mounting.inferences),
+        events=(*(note for note in notes if isinstance(note, Event)), *mounting.events),
     )
 
 
@@ -233,7 +231,7 @@ def _enough(probe: _Probe, lidars: list[TopicInfo], imus: list[TopicInfo], now_n
     return clouds and all(len(probe.samples.get(t.name, ())) >= min(wanted, t.count) for t in imus)
 
 
-def _choose_lidar(lidars: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str | None, list[Inference | Event]]:
+def _choose_lidar(lidars: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str | None, list[Note]]:
     """Take the topic with the most points."""
     if not lidars:
         return None, []
@@ -259,7 +257,7 @@ def _cloud_size(clouds: list[RawCloud]) -> float:
     return float(np.median([c.columns["x"].size if "x" in c.columns else 0 for c in clouds])) if clouds else 0.0
 
 
-def _choose_imu(imus: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str | None, list[Inference | Event]]:
+def _choose_imu(imus: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str | None, list[Note]]:
     """Take the topic with the most samples."""
     if not imus:
         return None, []
@@ -274,17 +272,56 @@ def _choose_imu(imus: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str 
     return best, [inferred("imu topic", best, f"most samples of {listing}"), Event(code="imu-topics", message=message)]
 
 
-def _imu_period(samples: Sequence[RawImu]) -> tuple[int, Inference]:
+def _read_lidar(clouds: Sequence[RawCloud], config: InputConfig) -> tuple[PointTiming, list[Note]]:
+    if not clouds:
+        return PointTiming(), []
+    result = infer_timing(clouds, config)
+    return result.timing, [*result.inferences, *result.events]
+
+
+def _read_imu(samples: Sequence[RawImu], config: InputConfig) -> tuple[ImuUnits | None, int, str, list[Note]]:
+    """Return units, period [ns], the stamp to use, and what led to them."""
+    if not samples:
+        return None, DEFAULT_IMU_PERIOD_NS, "header", []
+    units = infer_imu_units(samples, config)
+    period_ns, stamp, notes = _imu_period(samples)
+    return units, period_ns, stamp, [*notes, *units.inferences, *units.events]
+
+
+def _imu_period(samples: Sequence[RawImu]) -> tuple[int, str, list[Note]]:
+    """Return the period [ns], the stamp to use, and what led to them."""
+    topic, stamp = samples[0].topic, "header"
+    notes: list[Note] = []
     steps = np.diff(np.array([s.stamp_ns for s in samples], dtype=np.int64))
-    if len(steps) >= 3 and np.count_nonzero(steps < 0) > len(steps) // 2:
+    backwards = int(np.count_nonzero(steps < 0))
+    if len(steps) >= 3 and backwards > len(steps) // 2:
         raise DataError(
-            f"{samples[0].topic}: IMU stamps run backwards ({np.count_nonzero(steps < 0)} of the first "
-            f"{len(steps)} steps); re-record "
-            "or sort the messages by stamp"
+            f"{topic}: IMU stamps run backwards ({backwards} of the first {len(steps)} steps); re-record or sort "
+            "the messages by stamp"
         )
+    if len(steps) >= 3 and not steps.any():
+        stamp = "received"
+        steps = np.diff(np.array([s.received_ns for s in samples], dtype=np.int64))
+        message = f"{topic}: IMU stamps do not advance; times of reception are used, which jitter"
+        notes.append(Event(code="no-stamps", message=message))
     steps = steps[steps > 0]
     if not len(steps):
-        return DEFAULT_IMU_PERIOD_NS, inferred("imu rate", "unknown", "stamps do not advance", source="default")
+        return DEFAULT_IMU_PERIOD_NS, stamp, [*notes, inferred("imu rate", "unknown", "one sample", source="default")]
     period = int(np.median(steps))
     evidence = f"median of {len(steps)} steps between stamps, {steps.min() / 1e6:.3f} to {steps.max() / 1e6:.3f} ms"
-    return period, inferred("imu rate", f"{1e9 / period:.4g} Hz", evidence)
+    return period, stamp, [*notes, inferred("imu rate", f"{1e9 / period:.4g} Hz", evidence)]
+
+
+def _clock_mismatch(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> list[Note]:
+    """Warn where LiDAR and IMU stamp in clocks that differ: what arrives together is stamped apart."""
+    if not clouds or not samples:
+        return []
+    lidar, imu = (float(np.median([m.received_ns - m.stamp_ns for m in messages])) for messages in (clouds, samples))
+    if abs(lidar - imu) < FURTHEST_CLOCKS_NS:
+        return []
+    message = (
+        f"LiDAR stamps are {(imu - lidar) / 1e9:+.3f} s off IMU stamps of messages that arrive together: the "
+        "sensors' clocks "
+        "differ; synchronise them (PTP, or the driver's option to stamp with the computer's time) and record again"
+    )
+    return [Event(code="clock-mismatch", message=message)]

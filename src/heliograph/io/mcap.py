@@ -9,8 +9,6 @@ copied on its way out.
 
 from __future__ import annotations
 
-import io
-import lzma
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -42,7 +40,7 @@ RECORD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 NEVER = 2**63 - 1
 ENCODINGS = {"cdr": "cdr", "ros1": "ros1"}
-DAMAGE = (struct.error, ValueError, IndexError, EOFError, RuntimeError, OSError, lzma.LZMAError)
+DAMAGE = (struct.error, ValueError, IndexError, EOFError, RuntimeError, OSError, OverflowError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +116,7 @@ class McapStorage:
         self._chunks: list[_Chunk] = []
         self._loose = False  # messages outside chunks
         self._file: BinaryIO = path.open("rb")
+        self._size = path.stat().st_size
         try:
             self._open()
         except BaseException:
@@ -155,7 +154,13 @@ class McapStorage:
             raise FormatError(
                 self.path, "not an MCAP file: its first bytes are not MCAP's; check the file's name and download"
             )
-        if not self._read_summary():
+        try:
+            complete = self._read_summary()
+        except DAMAGE:
+            complete = False
+        if not complete:  # the summary, or an optional part of it, is missing or damaged
+            self._schemas, self._channels, self._chunks, self._counts = {}, {}, [], {}
+            self.start_ns, self.end_ns = NEVER, 0
             self._walk()
         self.channels = list(self._by_id().values())
         if self.start_ns == NEVER:
@@ -163,7 +168,7 @@ class McapStorage:
 
     def _read_summary(self) -> bool:
         """Read schemas, channels and the chunk index from the end of the file; False where it has none."""
-        size = self._file.seek(0, io.SEEK_END)
+        size = self._size
         if size < len(MAGIC) + FOOTER_BYTES:
             return False
         self._file.seek(size - FOOTER_BYTES)
@@ -186,9 +191,6 @@ class McapStorage:
                 (length,) = struct.unpack_from("<I", record, 42)
                 self._counts = dict(struct.iter_unpack("<HQ", record[46 : 46 + length]))
                 complete = bool(self._channels) and (messages == 0 or chunks == len(self._chunks) > 0)
-        if not complete:  # optional parts of the summary may be left out by a writer: walk the file instead
-            self._channels, self._chunks, self._counts = {}, [], {}
-            self.start_ns, self.end_ns = NEVER, 0
         return complete
 
     @staticmethod
@@ -232,6 +234,8 @@ class McapStorage:
 
     def _count_message(self, record: memoryview) -> int:
         key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(record, 0)
+        if time_ns >= NEVER:
+            raise ValueError(f"a message was received at {time_ns} ns")
         self._counts[key] = self._counts.get(key, 0) + 1
         self.start_ns, self.end_ns = min(self.start_ns, time_ns), max(self.end_ns, time_ns)
         return int(key)
@@ -258,7 +262,7 @@ class McapStorage:
             opcode, size = RECORD.unpack(head) if len(head) == RECORD.size else (0, 0)
             if opcode == 0:
                 raise EOFError("it has no end record: its recorder was stopped before it finished the file")
-            body = memoryview(self._file.read(size))
+            body = memoryview(self._file.read(min(size, self._size - at)))
             if len(body) == size or opcode == CHUNK:
                 yield opcode, body, at
             if len(body) < size:
@@ -268,15 +272,15 @@ class McapStorage:
             at += RECORD.size + size
 
     def _read_chunk(self, chunk: _Chunk, wanted: dict[int, Channel], start_ns: int) -> Iterator[RawBytes]:
-        self._file.seek(chunk.offset + RECORD.size)
         found: list[RawBytes] = []
         try:
-            body = memoryview(self._file.read(chunk.length - RECORD.size))
+            self._file.seek(chunk.offset + RECORD.size)
+            body = memoryview(self._file.read(max(0, min(chunk.length, self._size) - RECORD.size)))
             for opcode, record in _records(_decompress(body)):
                 if opcode != MESSAGE:
                     continue
                 key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(record, 0)
-                if key in wanted and time_ns >= start_ns:
+                if key in wanted and start_ns <= time_ns < NEVER:
                     found.append((wanted[key], time_ns, record[MESSAGE_HEAD.size :]))
         except DAMAGE as error:
             message = (
@@ -294,7 +298,7 @@ class McapStorage:
                 for inner, body in records:
                     if inner == MESSAGE:
                         key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(body, 0)
-                        if key in wanted and time_ns >= start_ns:
+                        if key in wanted and start_ns <= time_ns < NEVER:
                             yield wanted[key], time_ns, body[MESSAGE_HEAD.size :]
         except DAMAGE:
             return  # reported when the file was indexed

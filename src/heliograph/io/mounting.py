@@ -20,11 +20,14 @@ __all__ = ["FACTORY_MOUNTINGS", "FrameTree", "Mounting", "find_mounting", "recog
 
 UNKNOWN_ROTATION = float(np.pi)
 UNKNOWN_LEVER_ARM = 0.3
+FACTORY_SIGMA = 0.005  # of a mounting inside one housing [m]
 
-FACTORY_MOUNTINGS: dict[str, tuple[float, float, float]] = {
-    # The IMU chip's position in the point cloud's frame, axes parallel, from the makers' user manuals [m].
-    "Livox Mid-360": (0.011, 0.02329, -0.04412),
-    "Livox Avia": (-0.04165, -0.02326, 0.0284),
+FACTORY_MOUNTINGS: dict[str, tuple[tuple[float, float, float], float]] = {
+    # The IMU's position in the point cloud's frame and how well it is known [m]; axes parallel; from the user manuals.
+    # The HAP's manual gives the axes but no position: anywhere in its housing.
+    "Livox Mid-360": ((0.011, 0.02329, -0.04412), 0.005),
+    "Livox Avia": ((-0.04165, -0.02326, 0.0284), 0.005),
+    "Livox HAP": ((0.0, 0.0, 0.0), 0.05),
 }
 
 
@@ -104,12 +107,10 @@ def find_mounting(
     if factory is None:
         factory = recognise_livox(clouds, samples)
     if factory is not None:
-        rig = Rig(
-            T_imu_lidar=factory[0], source=f"factory, {factory[1]}", sigma_rotation=0.005, sigma_translation=0.005
-        )
-        return Mounting(
-            rig, (_describe(rig, f"no tf links '{imu}' and '{lidar}'; {factory[1]} recognised", "data"),), ()
-        )
+        T_imu_lidar, name = factory
+        sigma = FACTORY_MOUNTINGS.get(name, ((), FACTORY_SIGMA))[1]
+        rig = Rig(T_imu_lidar=T_imu_lidar, source=f"factory, {name}", sigma_rotation=0.005, sigma_translation=sigma)
+        return Mounting(rig, (_describe(rig, f"no tf links '{imu}' and '{lidar}'; {name} recognised", "data"),), ())
     return _unknown(imu, lidar, tree)
 
 
@@ -168,7 +169,7 @@ def recognise_livox(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> tu
     """Return the maker's ``T_imu_lidar`` and the name of a Livox sensor with its built-in IMU, else None.
 
     The message and the frame tell the make, the field of view the model: a Mid-360 looks all around, an Avia into a
-    cone of about 70 degrees.
+    cone of about 70 degrees, a HAP at a band of 120 by 25.
     """
     cloud, sample = clouds[0], samples[0]
     livox = (
@@ -187,9 +188,14 @@ def recognise_livox(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> tu
     covered = np.count_nonzero(np.histogram(azimuth, 72, (-np.pi, np.pi))[0]) * 5
     tall = float(np.rad2deg(np.quantile(elevation, 0.99) - np.quantile(elevation, 0.01)))
     wide = float(np.rad2deg(np.quantile(azimuth, 0.99) - np.quantile(azimuth, 0.01)))
-    name = "Livox Mid-360" if covered >= 240 else "Livox Avia" if 55 < tall < 85 and 55 < wide < 80 else None
-    if name is None:
+    if covered >= 240:
+        name = "Livox Mid-360"
+    elif 55 < tall < 85 and 55 < wide < 80:
+        name = "Livox Avia"
+    elif tall < 30 and 100 < wide < 130:
+        name = "Livox HAP"
+    else:
         return None
     T_imu_lidar = np.eye(4)
-    T_imu_lidar[:3, 3] = -np.array(FACTORY_MOUNTINGS[name])
+    T_imu_lidar[:3, 3] = -np.array(FACTORY_MOUNTINGS[name][0])
     return T_imu_lidar, name

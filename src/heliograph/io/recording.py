@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from heliograph.config import InputConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan
 from heliograph.errors import CalibrationError, DataError, closest
+from heliograph.io.imu_units import is_usable
 from heliograph.io.inference import Inference
 from heliograph.io.interpret import Interpretation, interpret
 from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo
@@ -192,8 +193,8 @@ class Recording:
             elif isinstance(message, RawCloud):
                 if self._accept_cloud(message):
                     self.tally.points += message.columns["x"].size
-            elif isinstance(message, RawFix):
-                self.tally.gnss.accept(message.stamp_ns, message.received_ns)
+            elif isinstance(message, RawFix) and self.tally.gnss.accept(message.stamp_ns, message.received_ns):
+                self.tally.valid_fixes += message.valid
         return self.tally
 
     def summary(self) -> dict[str, object]:
@@ -210,7 +211,7 @@ class Recording:
             "start_ns": first,
             "end_ns": last,
             "topics": {"lidar": found.lidar, "imu": found.imu, "gnss": found.gnss},
-            "frames": {"lidar": found.lidar_frame, "imu": found.imu_frame},
+            "frames": {"lidar": found.lidar_frame, "imu": found.imu_frame, "gnss": found.gnss_frame},
             "streams": {name: watch.summary() for name, watch in streams.items() if name in self.sensors},
             "scan_period_s": found.timing.period_ns / 1e9,
             "points_per_scan": found.points_per_scan,
@@ -242,10 +243,13 @@ class Recording:
             yield message
 
     def _accept_imu(self, message: RawImu) -> bool:
-        if not np.isfinite(sum(message.gyro) + sum(message.accel)):
+        if not is_usable(message):
             self.tally.imu.bad += 1
             return False
-        return self.tally.imu.accept(message.stamp_ns, message.received_ns)
+        return self.tally.imu.accept(self._imu_stamp(message), message.received_ns)
+
+    def _imu_stamp(self, message: RawImu) -> int:
+        return message.stamp_ns if self.interpretation.imu_stamp == "header" else message.received_ns
 
     def _accept_cloud(self, message: RawCloud) -> bool:
         stamp_ns = message.stamp_ns if self.interpretation.timing.stamp == "header" else message.received_ns
@@ -287,7 +291,7 @@ class Recording:
                 "an IMU sample came from a recording without IMU topic"
             )  # cannot happen: topics are filtered
         return ImuBatch(
-            stamps_ns=np.array([s.stamp_ns for s in samples], dtype=np.int64),
+            stamps_ns=np.array([self._imu_stamp(s) for s in samples], dtype=np.int64),
             gyro=np.array([s.gyro for s in samples], dtype=np.float64) * units.gyro,
             accel=np.array([s.accel for s in samples], dtype=np.float64) * units.accel,
             received_ns=samples[-1].received_ns,

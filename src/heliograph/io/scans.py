@@ -12,7 +12,7 @@ from heliograph.errors import DataError
 from heliograph.io.layouts import INTENSITY_FIELDS, RING_FIELDS
 from heliograph.io.raw import RawCloud
 
-__all__ = ["PointTiming", "azimuth_offsets", "to_scan", "valid_points"]
+__all__ = ["TOLERANT", "PointTiming", "azimuth_offsets", "to_scan", "valid_points"]
 
 LONGEST_SWEEP_NS = 2_000_000_000
 
@@ -56,6 +56,11 @@ class PointTiming:
     stamp: str = "header"
 
 
+# Any bit pattern may come in: what is not a number fails the comparisons below and is dropped, silently.
+TOLERANT = np.errstate(invalid="ignore", over="ignore")
+
+
+@TOLERANT
 def valid_points(cloud: RawCloud) -> tuple[NDArray[np.float32], NDArray[np.intp] | None]:
     """Return the finite, non-zero points of a cloud and which they are.
 
@@ -90,6 +95,7 @@ def _column(cloud: RawCloud, name: str, kept: NDArray[np.intp] | None) -> NDArra
     return column if kept is None else column.take(kept)
 
 
+@TOLERANT
 def to_scan(cloud: RawCloud, timing: PointTiming) -> Scan:
     """Convert one message.
 

@@ -121,6 +121,7 @@ class StreamTally:
     imu: Watch
     gnss: Watch
     points: int = 0
+    valid_fixes: int = 0
 
     @classmethod
     def expecting(cls, scan_period_ns: int, imu_period_ns: int) -> StreamTally:

@@ -15,11 +15,12 @@ from heliograph.errors import ConfigError, DataError, closest
 from heliograph.io.inference import Inference, inferred
 from heliograph.io.layouts import DESKEWED_LAYOUTS, UNITS, Layout, find_layout, time_field
 from heliograph.io.raw import RawCloud
-from heliograph.io.scans import PointTiming, valid_points
+from heliograph.io.scans import TOLERANT, PointTiming, valid_points
 
 __all__ = ["TimingResult", "infer_timing"]
 
 DEFAULT_PERIOD_NS = 100_000_000
+FEWEST_POINTS = 100
 NEAR_NS = 10_000_000_000  # an absolute time further than this from the header stamp counts in another clock
 
 
@@ -41,6 +42,7 @@ class _Spans:
     stamps_ns: NDArray[np.int64]
 
 
+@TOLERANT
 def infer_timing(clouds: Sequence[RawCloud], config: InputConfig) -> TimingResult:
     """Infer how the points of a topic are timed.
 
@@ -256,7 +258,7 @@ def _check_latency(timing: PointTiming, clouds: Sequence[RawCloud], meaning: str
     """Warn where messages arrived before their last point was measured: then the stamp cannot mean what it seems to."""
     if meaning != "start" or timing.stamp != "header":
         return []
-    latency = np.array([c.received_ns - c.stamp_ns for c in clouds], dtype=np.int64)
+    latency = np.array([c.received_ns - c.stamp_ns for c in clouds], dtype=np.float64)
     # Equal times are a converter's, and far ones another clock's: neither says anything.
     if len(latency) < 3 or not np.all((latency > 1_000_000) & (latency < 0.7 * high)):
         return []
@@ -295,7 +297,9 @@ def _without_field(clouds: Sequence[RawCloud], base: PointTiming, field: str | N
 
 def _sweep_geometry(clouds: Sequence[RawCloud]) -> tuple[str, int, str]:
     """Return method, direction and evidence of a spinning lidar's sweep."""
-    votes = [_turn(cloud) for cloud in clouds[:5]]
+    votes = [_turn(cloud) for cloud in clouds if len(valid_points(cloud)[0]) >= FEWEST_POINTS][:5]
+    if not votes:
+        return "none", 1, "too few points"
     agreed = [v for v in votes if v[0] == votes[0][0] and v[1] == votes[0][1]]
     if votes[0][0] == "none" or len(agreed) < len(votes):
         return "none", 1, "no steady turn in the azimuths" if votes[0][0] == "none" else "the scans disagree"
@@ -314,9 +318,8 @@ def _first_azimuth(clouds: Sequence[RawCloud], direction: int) -> float | None:
 def _turn(cloud: RawCloud) -> tuple[str, int, str]:
     x, y = cloud.columns["x"], cloud.columns["y"]
     if x.ndim == 2 and x.shape[1] >= 64:
-        with np.errstate(invalid="ignore"):
-            azimuth = np.arctan2(y.astype(np.float64), x.astype(np.float64))
-            usable = np.isfinite(azimuth) & ((np.abs(x) + np.abs(y)) > 0)
+        azimuth = np.arctan2(y.astype(np.float64), x.astype(np.float64))
+        usable = np.isfinite(azimuth) & ((np.abs(x) + np.abs(y)) > 0)
         row = int(np.count_nonzero(usable, axis=1).argmax())
         progress, steady = _progress(azimuth[row][usable[row]])
         if abs(abs(progress) - 1) < 0.1 and steady > 0.9:
@@ -324,8 +327,6 @@ def _turn(cloud: RawCloud) -> tuple[str, int, str]:
             return "columns", sign, f"{x.shape[1]} columns turn {progress:+.2f} times"
         return "none", 1, "columns do not turn"
     points, _ = valid_points(cloud)
-    if len(points) < 100:
-        return "none", 1, "too few points"
     azimuth = np.arctan2(points[:, 1].astype(np.float64), points[:, 0].astype(np.float64))
     progress, steady = _progress(azimuth)
     if abs(progress) > 0.9 and steady > 0.9:

@@ -37,8 +37,12 @@ class PlaneMatches:
 class LocalMap(Protocol):
     """The part of the world around the sensor that scans are matched against. It changes only by its verbs."""
 
-    def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> None:
-        """Add points (N, 3) of the body frame seen from the pose (4, 4)."""
+    def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:
+        """Add points (N, 3) of the body frame seen from the pose (4, 4).
+
+        Returns the share in [0, 1] of the scan's surroundings that the map did not hold before: 1 for the first scan, 0
+        where nothing is new. The odometry's uncertainty grows with it.
+        """
         ...
 
     def prune(self, centre_odom: NDArray[np.float64]) -> None:

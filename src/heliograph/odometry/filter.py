@@ -14,6 +14,7 @@ from heliograph.data import Event, GnssFix, ImuBatch, NavState, Rig, Scan, ScanR
 from heliograph.imu import ImuPath
 from heliograph.lie import so3
 from heliograph.maps import LocalMap, VoxelMap
+from heliograph.odometry.drift import MapDrift
 from heliograph.odometry.matching import AdaptiveNoise, Thinning, register
 from heliograph.odometry.motion import MotionModel, corrected_path
 from heliograph.odometry.results import Stopwatch, dead_reckoned, scan_result
@@ -59,6 +60,7 @@ class FilterCore:
         self.noise = AdaptiveNoise(config.filter.sigma)
         self._motion, self._config, self._threads = motion, config, threads
         self._thinning = Thinning(config.cloud)
+        self._drift = MapDrift(config.filter.systematic)
         self._pruned_at = start.p_odom
         self._history: ImuPath | None = None
         self._count = 0
@@ -84,7 +86,8 @@ class FilterCore:
         points_imu = self._deskew(points, offsets, scan, sweep, posterior)  # (3), now with the final motion
         watch.lap("deskew")
         if fit is not None or len(self.map) == 0:
-            self.map.insert(points_imu, posterior.T_odom_imu)
+            share = self.map.insert(points_imu, posterior.T_odom_imu)
+            self._drift.grow(posterior, share, sigma=self.noise.sigma, matched=fit is not None)  # (9)
             self._prune(posterior)
         watch.lap("map")
 
@@ -95,6 +98,7 @@ class FilterCore:
             index=self._count,
             scan=scan,
             state=posterior,
+            pose_covariance=self._drift.pose_covariance(posterior),
             path=path,
             history=self._history,
             points_imu=points_imu,
@@ -113,7 +117,10 @@ class FilterCore:
         self.state, path = self._motion.predict(self.state, imu, end_ns)
         watch.lap("predict")
         self._count += 1
-        return dead_reckoned(index=self._count - 1, state=self.state, path=path, timings=watch.laps)
+        covariance = self._drift.pose_covariance(self.state)
+        return dead_reckoned(
+            index=self._count - 1, state=self.state, pose_covariance=covariance, path=path, timings=watch.laps
+        )
 
     def _deskew(
         self, points: NDArray[np.float32], offsets: NDArray[np.int32], scan: Scan, path: ImuPath, state: NavState

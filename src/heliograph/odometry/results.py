@@ -37,6 +37,7 @@ def scan_result(
     index: int,
     scan: Scan,
     state: NavState,
+    pose_covariance: NDArray[np.float64],
     path: ImuPath,
     history: ImuPath | None,
     points_imu: NDArray[np.float32],
@@ -49,7 +50,7 @@ def scan_result(
     """Put together the record of one scan; `history` is the path before this one, for stamps that reach back."""
     trajectory = _trajectory(path)
     T_header = _pose_at(_joined(history, path), scan.header_stamp_ns)
-    base = _base(index, state, trajectory, timings)
+    base = _base(index, state, pose_covariance, trajectory, timings)
     common = replace(
         base,
         stamp_ns=scan.stamp_ns,
@@ -79,12 +80,20 @@ def scan_result(
     )
 
 
-def dead_reckoned(*, index: int, state: NavState, path: ImuPath, timings: dict[str, float]) -> ScanResult:
+def dead_reckoned(
+    *, index: int, state: NavState, pose_covariance: NDArray[np.float64], path: ImuPath, timings: dict[str, float]
+) -> ScanResult:
     """Put together the record of an instant without a scan."""
-    return _base(index, state, _trajectory(path), timings)
+    return _base(index, state, pose_covariance, _trajectory(path), timings)
 
 
-def _base(index: int, state: NavState, trajectory: Trajectory, timings: dict[str, float]) -> ScanResult:
+def _base(
+    index: int,
+    state: NavState,
+    pose_covariance: NDArray[np.float64],
+    trajectory: Trajectory,
+    timings: dict[str, float],
+) -> ScanResult:
     return ScanResult(
         index=index,
         stamp_ns=int(trajectory.stamps_ns[0]),
@@ -97,6 +106,7 @@ def _base(index: int, state: NavState, trajectory: Trajectory, timings: dict[str
         g_odom=state.g_odom,
         T_imu_lidar=state.T_imu_lidar,
         covariance=state.covariance,
+        pose_covariance=pose_covariance,
         path=trajectory,
         T_odom_imu_header=state.T_odom_imu,
         points_imu=np.zeros((0, 3), np.float32),

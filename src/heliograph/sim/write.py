@@ -109,15 +109,7 @@ def write_recording(
         raise OutputError(f"{folder} holds a recording already; choose another folder or overwrite it")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # Everything is written aside and moved into place at the end: the folder never holds half a recording.
-        with TemporaryDirectory(prefix=".simulate-", dir=folder) as scratch:
-            aside = Path(scratch) / "recording"  # the writer wants a new folder and names the file after it
-            sweeps = _write_bag(aside, simulation, chosen, compress=compress, progress=progress)
-            _write_truth(aside, simulation)
-            note = f"# seed {seed}, layout {layout}\n"
-            (aside / "scenario.toml").write_text(note + to_toml(scenario), encoding="utf-8")
-            for file in sorted(aside.iterdir()):
-                file.replace(folder / file.name)
+        sweeps = _write_files(folder, simulation, chosen, compress=compress, progress=progress)
     except OSError as error:
         raise OutputError(f"{folder} cannot be written: {error.strerror or error}") from error
     return Recording(
@@ -130,6 +122,28 @@ def write_recording(
         imu_samples=len(simulation.imu_stamps_ns),
         duration=simulation.duration_ns * 1e-9,
     )
+
+
+def _write_files(
+    folder: Path,
+    simulation: Simulation,
+    layout: Layout,
+    *,
+    compress: bool,
+    progress: Callable[[int, int], None] | None,
+) -> int:
+    """Write all files aside and move them into ``folder`` at the end, so that it never holds half a recording."""
+    with TemporaryDirectory(prefix=".simulate-", dir=folder) as scratch:
+        aside = Path(scratch) / "recording"  # the writer wants a new folder and names the file after it
+        sweeps = _write_bag(aside, simulation, layout, compress=compress, progress=progress)
+        stamps, truth = simulation.imu_stamps_ns, simulation.truth
+        _write_tum(aside / "groundtruth_imu.tum", "imu", stamps, truth.pose(stamps))
+        _write_tum(aside / "groundtruth_lidar.tum", "lidar", stamps, truth.lidar_pose(stamps))
+        note = f"# seed {simulation.seed}, layout {layout.name}\n"
+        (aside / "scenario.toml").write_text(note + to_toml(simulation.scenario), encoding="utf-8")
+        for file in sorted(aside.iterdir()):
+            file.replace(folder / file.name)
+    return sweeps
 
 
 def _write_bag(
@@ -220,12 +234,6 @@ def _fixes(simulation: Simulation, messages: Messages) -> Iterator[_Message]:
 def _clouds(simulation: Simulation, layout: Layout, messages: Messages) -> Iterator[_Message]:
     for sweep in simulation.sweeps():
         yield sweep.end_ns, 3, _POINTS, messages.cloud(layout, layout.pack(sweep, layout.dtype))
-
-
-def _write_truth(folder: Path, simulation: Simulation) -> None:
-    stamps, truth = simulation.imu_stamps_ns, simulation.truth
-    _write_tum(folder / "groundtruth_imu.tum", "imu", stamps, truth.pose(stamps))
-    _write_tum(folder / "groundtruth_lidar.tum", "lidar", stamps, truth.lidar_pose(stamps))
 
 
 def _write_tum(path: Path, body: str, stamps_ns: NDArray[np.int64], T_world_body: NDArray[np.float64]) -> None:

@@ -93,6 +93,7 @@ def directions(rng, azimuth_deg, elevation_deg, n=3000):
     [
         (((-180, 180), (-7, 52)), "Livox Mid-360", (-0.011, -0.02329, 0.04412)),
         (((-35, 35), (-36, 36)), "Livox Avia", (0.04165, 0.02326, -0.0284)),
+        (((-60, 60), (-12.5, 12.5)), "Livox HAP", (0.0, 0.0, 0.0)),
     ],
 )
 def test_livox_with_its_own_imu_gets_its_maker_s_figure(rng, view, name, translation):

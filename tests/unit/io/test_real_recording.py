@@ -62,4 +62,6 @@ def test_kitti_report_counts_what_is_there(recording_path):
     assert streams["lidar"].count == streams["imu"].count == 100
     assert streams["lidar"].rate_hz == pytest.approx(9.6525, abs=1e-3)
     assert report.has_orientation
+    assert report.valid_fixes == 100
+    assert streams["gnss"].frame == "gnss"
     assert report.events == ()

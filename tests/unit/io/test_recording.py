@@ -223,6 +223,32 @@ def test_packets_of_an_unknown_maker_name_the_driver(tmp_path):
         read(bag, tmp_path)
 
 
+def test_samples_without_stamps_take_the_times_of_reception(tmp_path):
+    bag = without(drive(), "/imu")
+    for k in range(80):
+        bag.imu(0, received_ns=T0 + k * 10_000_000)
+    recording, items = read(bag, tmp_path)
+    assert codes(recording) == ["no-stamps"]
+    assert np.array_equal(stamps(items), T0 + np.arange(80) * 10_000_000)
+
+
+def test_clocks_that_differ_are_reported(tmp_path):
+    bag = without(drive(), "/imu")
+    for k in range(80):
+        bag.imu(T0 + k * 10_000_000 - 37_000_000_000, received_ns=T0 + k * 10_000_000)
+    recording, _ = read(bag, tmp_path)
+    assert codes(recording) == ["clock-mismatch"]
+    assert "36.9" in recording.events[0].message
+
+
+def test_reversed_imu_stamps_are_refused(tmp_path):
+    bag = without(drive(), "/imu")
+    for k in range(80):
+        bag.imu(T0 - k * 10_000_000, received_ns=T0 + k * 10_000_000)
+    with pytest.raises(DataError, match="IMU stamps run backwards"):
+        read(bag, tmp_path)
+
+
 def test_transform_answers_for_every_frame(tmp_path):
     recording, _ = read(drive(), tmp_path)
     assert np.array_equal(recording.transform("imu"), np.eye(4))
