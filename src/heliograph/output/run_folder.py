@@ -147,6 +147,7 @@ class RunFolder(Sink):
             self._discard()
             return
         failures: list[Exception] = []
+        began = time.perf_counter()
         with self._step("trajectory", failures):
             self.files += self._trajectories.close(summary.T_map_odom)
         with self._step("scans.csv", failures):
@@ -168,7 +169,8 @@ class RunFolder(Sink):
                 self.files += finisher(self.record)
         self.files += [self.path / "config.toml", self.path / "run.json"]
         with self._step("run.json", failures):
-            self.facts = final_facts(self.facts, self.record, self.files, self.writer_seconds, failures)
+            closing = time.perf_counter() - began
+            self.facts = final_facts(self.facts, self.record, self.files, self.writer_seconds, closing, failures)
             write_text(self.path / "run.json", json.dumps(self.facts, indent=2, allow_nan=False) + "\n")
         if failures:
             raise failures[0]
