@@ -8,7 +8,7 @@ from heliograph.config import InputConfig
 from heliograph.errors import ConfigError, DataError
 from heliograph.io.layouts import LAYOUTS, find_layout
 from heliograph.io.raw import RawCloud
-from heliograph.io.scans import PointTiming, to_scan
+from heliograph.io.scans import PointTiming, azimuth_offsets, to_scan
 from heliograph.io.timing import infer_timing
 
 XYZ = [("x", "<f4", 0), ("y", "<f4", 4), ("z", "<f4", 8)]
@@ -209,6 +209,20 @@ def test_times_come_from_the_azimuth_where_no_field_has_them(direction):
     assert result.timing.method == "azimuth"
     assert not scan.has_point_times
     assert np.abs(scan.offsets_ns - np.arange(N) * PERIOD / N).max() < 10_000
+
+
+def test_sweep_whose_first_beams_are_lost_keeps_the_others_times():
+    dtype = point_dtype(XYZI, 16)
+    clouds = [raw(sweep(dtype, N, seed=k), T0 + k * PERIOD) for k in range(4)]
+    lost = raw(sweep(dtype, N, seed=9)[3:], T0 + 4 * PERIOD)
+    scan = to_scan(lost, infer_timing([*clouds, lost], InputConfig()).timing)
+    assert np.abs(scan.offsets_ns - np.arange(3, N) * PERIOD / N).max() < 10_000
+
+
+def test_point_a_hair_before_the_first_azimuth_is_at_the_start():
+    points = np.array([[1.0, -1e-4, 0.0], [0.0, 1.0, 0.0]], np.float32)
+    timing = PointTiming(method="azimuth", direction=1, azimuth=0.0, period_ns=PERIOD)
+    assert azimuth_offsets(points, timing).tolist() == [0, PERIOD // 4]
 
 
 def test_times_come_from_the_column_of_an_organised_cloud():
