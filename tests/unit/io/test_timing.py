@@ -123,6 +123,13 @@ def test_nanoseconds_in_the_seconds_field_of_velodyne_are_caught():
     assert np.abs(to_scan(clouds[0], result.timing).offsets_ns - OFFSETS).max() <= 8  # single precision
 
 
+def test_absolute_times_in_a_relative_field_are_used_and_reported():
+    clouds = clouds_of(OUSTER, 48, "t", lambda s, o: (s - T0 + o) // 1000 + 4_000_000_000)
+    result = infer_timing(clouds, InputConfig())
+    assert {"point-time-reference", "point-clock", "point-time-unit"} == {e.code for e in result.events}
+    assert np.abs(to_scan(clouds[1], result.timing).offsets_ns - OFFSETS).max() <= 1000
+
+
 def test_overridden_unit_is_obeyed():
     clouds = clouds_of(VELODYNE, 22, "time", lambda _, o: o * 1e-9)
     result = infer_timing(clouds, InputConfig(point_time_unit="ms"))
