@@ -45,5 +45,15 @@ sanitize: $(VENV)/.tools
 	PATH="$(abspath $(BIN)):$$PATH" cmake --build build/sanitize
 	./build/sanitize/heliograph_checks
 
+# Rivals pin what Heliograph does not, so they live in an environment of their own.
+RIVALS := build/bench-venv
+$(RIVALS)/.installed: benchmarks/rivals.txt
+	$(PYTHON) -m venv $(RIVALS)
+	$(RIVALS)/bin/python -m pip install -q --disable-pip-version-check -r $<
+	touch $@
+
+bench: $(STAMP) $(RIVALS)/.installed
+	$(BIN)/python -m benchmarks all
+
 clean:
 	rm -rf build $(VENV)

@@ -37,6 +37,7 @@ def make_result(index: int, *, status: str = "tracked", points: int = 50, events
         "accel_bias": np.array([1e-2, 2e-2, 3e-2]),
         "g_odom": np.array([0.0, 0.0, -9.80665]),
         "T_imu_lidar": np.eye(4),
+        "pose_covariance": np.diag(np.arange(1.0, 7.0) ** 2) * 1e-6,
         "covariance": np.diag(np.arange(1.0, 19.0) ** 2) * 1e-6,
         "path": Trajectory(stamps_ns=stamps, T_frame_body=poses),
         "T_odom_imu_header": pose(0.1 * index),

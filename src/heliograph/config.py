@@ -198,6 +198,8 @@ class FilterConfig:
         Widest kernel that an uncertain prediction may open [m].
     correlation : float
         How many matches tell as much as one independent one: neighbouring points share their plane's error.
+    systematic : float
+        Share of the range noise that does not average out within a scan; the map's drift is accounted for with it.
     fallback_stride : int
         One of so many points without a plane asks for its neighbours; 0 switches the fallback off.
     min_matches : int
@@ -219,6 +221,7 @@ class FilterConfig:
     gate: float = 2.5
     max_kernel: float = 1.0
     correlation: float = 30.0
+    systematic: float = 0.1
     fallback_stride: int = 2
     min_matches: int = 50
     degenerate_translation: float = 0.01

@@ -53,36 +53,26 @@ def run(
     Parameters
     ----------
     recording : Source
-        As `heliograph.io.open_recording` returns it; read once, in causal order.
+        As `heliograph.io.open_recording` returns it; read once.
     config : RunConfig
-        The run's settings.
     sinks : sequence of Sink
         Each gets every message, every result, and at the end the summary.
     stop : callable
-        Asked before each message; True ends the run early with what is there.
+        Asked after each message; True ends the run early with what is there.
     odometry : Odometry, optional
         An estimator of one's own; by default the one that ``config.odometry`` names.
     opening_seconds : float
-        What it took to open the recording; counted into the wall time [s].
-
-    Returns
-    -------
-    RunSummary
-        Status and its reasons, totals, timings, folded warnings.
+        What opening the recording took, for the account [s].
 
     Raises
     ------
     DataError
         No scan came out of the recording.
     OutputError
-        A sink could not write. After this or any other failure every sink has been closed with what was done till then.
+        A sink could not write. After any failure, every sink has been closed with what was done till then.
     """
-    sensors, threads, clock, tally = (
-        sensors_in_use(recording, config),
-        thread_count(config),
-        Clock(opening_seconds),
-        Tally(),
-    )
+    clock, tally = Clock(opening_seconds), Tally()
+    sensors, threads = sensors_in_use(recording, config), thread_count(config)
     odometry = odometry or make_odometry(config, recording.rig, sensors, threads)
     interrupted, failure = False, None
     try:

@@ -108,6 +108,8 @@ def test_existing_output_is_kept_without_overwrite(heliograph, recording, tmp_pa
         ("simulate", "room", "--layout", "abacus"),
         ("evaluate", "a.tum", "b.tum"),
         ("fly",),
+        ("run", "x", "--extrinsic", "nowhere.toml"),
+        ("run", "x", "--config", "nowhere.toml"),
     ],
 )
 def test_usage_errors_are_one_line(heliograph, arguments):

@@ -20,21 +20,36 @@ __all__ = ["MapDrift"]
 
 Array = NDArray[np.float64]
 
+_LEVER = 6.0
+"""Distance at which a systematic turn and a systematic shift move points alike [m]."""
+
 
 class MapDrift:
-    """Covariance of the local map's frame against the odom frame's origin."""
+    """Covariance of the local map's frame against the odom frame's origin.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    systematic : float
+        Standard deviation of B in position, as a share of the range noise.
+    """
+
+    def __init__(self, systematic: float) -> None:
+        self._systematic = systematic
         self._frame = np.zeros((6, 6))
         self._pending = 0.0
 
-    def grow(self, state: NavState, share: float, *, matched: bool) -> None:
-        """Account for a scan of which ``share`` was new to the map and whose pose was ``matched`` or just defined."""
+    def grow(self, state: NavState, share: float, *, sigma: float, matched: bool) -> None:
+        """Account for a scan of which ``share`` was new to the map and whose pose was ``matched`` or just defined.
+
+        ``sigma`` is the range noise across planes [m].
+        """
         self._pending += share
         if not matched:
             return  # the first scan's pose is exact by definition: its map counts at the first pose that leans on it
         M = _frame_by_pose(state)
-        self._frame += self._pending * M @ state.covariance[:6, :6] @ M.T
+        position = self._systematic * sigma
+        B = np.diag([(position / _LEVER) ** 2] * 3 + [position**2] * 3)
+        self._frame += self._pending * M @ (state.covariance[:6, :6] + B) @ M.T
         self._pending = 0.0
 
     def pose_covariance(self, state: NavState) -> Array:

@@ -60,7 +60,7 @@ class FilterCore:
         self.noise = AdaptiveNoise(config.filter.sigma)
         self._motion, self._config, self._threads = motion, config, threads
         self._thinning = Thinning(config.cloud)
-        self._drift = MapDrift()
+        self._drift = MapDrift(config.filter.systematic)
         self._pruned_at = start.p_odom
         self._history: ImuPath | None = None
         self._count = 0
@@ -87,7 +87,7 @@ class FilterCore:
         watch.lap("deskew")
         if fit is not None or len(self.map) == 0:
             share = self.map.insert(points_imu, posterior.T_odom_imu)
-            self._drift.grow(posterior, share, matched=fit is not None)  # (9)
+            self._drift.grow(posterior, share, sigma=self.noise.sigma, matched=fit is not None)  # (9)
             self._prune(posterior)
         watch.lap("map")
 

@@ -51,6 +51,7 @@ def final_facts(
     record: RunRecord,
     files: Sequence[Path],
     writer_seconds: Mapping[str, float],
+    closing_seconds: float,
     failures: Sequence[Exception],
 ) -> dict[str, Any]:
     """Return the account of a finished run, of JSON's own types only (NaN becomes null).
@@ -65,15 +66,16 @@ def final_facts(
         Files written.
     writer_seconds : mapping
         Writer -> seconds.
+    closing_seconds : float
+        Since the last scan.
     failures : sequence of Exception
         Writers' failures.
     """
     summary = record.summary
-    writing = sum(writer_seconds.values())
-    wall = summary.wall_seconds + writing - summary.seconds.get("writing", 0.0)
+    wall = summary.wall_seconds + closing_seconds
     timings = {
         **{f"{name}_s": value for name, value in summary.seconds.items()},
-        "writing_s": writing,
+        "writing_s": sum(writer_seconds.values()),
         "wall_s": wall,
         "wall_ms_per_scan": 1e3 * wall / summary.scans,
         "odometry_ms_per_scan": dict(summary.stage_ms),

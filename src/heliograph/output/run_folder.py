@@ -27,6 +27,7 @@ from heliograph.output.trajectories import FILES, TrajectoryFiles
 __all__ = ["MapAccumulator", "RunFolder"]
 
 _FLUSH_EVERY = 50  # scans; a crash costs at most these
+_OWN_FORMATS = ("ply", "pcd")  # written without any other package
 _MAPS = ("map.ply", "map.pcd", "map.laz")
 _OWN = (*FILES, *_MAPS, "map.png", "scans.csv", "report.html", "config.toml", "run.json")
 
@@ -101,8 +102,6 @@ class RunFolder(Sink):
     ) -> None:
         self._created = not path.exists()
         self.path = check_output_directory(path, overwrite)
-        for old in _OWN:
-            (path / old).unlink(missing_ok=True)
         self.name, self.config, self.map_format, self._finishers = name, config, map_format, tuple(finishers)
         self._facts = facts
         self.facts: dict[str, Any] = dict(facts())
@@ -111,11 +110,16 @@ class RunFolder(Sink):
         self.record: RunRecord | None = None
         self._map = global_map
         self._count = 0
-        write_text(path / "config.toml", config)
-        write_text(path / "run.json", json.dumps({"status": "running", **self.facts}, indent=2, default=str) + "\n")
-        version = str(self.facts.get("versions", {}).get("heliograph", ""))
-        self._trajectories = TrajectoryFiles(path, body=body, T_imu_body=T_imu_body, version=version)
-        self._log = ScanLog(path / "scans.csv")
+        with self._nothing_left_on_failure():
+            write_text(path / "config.toml", config)
+            write_text(path / "run.json", json.dumps({"status": "running", **self.facts}, indent=2, default=str) + "\n")
+            if global_map is not None and map_format not in _OWN_FORMATS:
+                # What the format needs may not be installed; that must not come out after an hour's run.
+                write_cloud(path / f"map.{map_format}", np.zeros((1, 3), dtype=np.float32))
+                (path / f"map.{map_format}").unlink()
+            version = str(self.facts.get("versions", {}).get("heliograph", ""))
+            self._trajectories = TrajectoryFiles(path, body=body, T_imu_body=T_imu_body, version=version)
+            self._log = ScanLog(path / "scans.csv")
 
     def observe(self, message: Scan | ImuBatch | GnssFix) -> None:
         """Note the IMU's stamps."""
@@ -143,6 +147,7 @@ class RunFolder(Sink):
             self._discard()
             return
         failures: list[Exception] = []
+        began = time.perf_counter()
         with self._step("trajectory", failures):
             self.files += self._trajectories.close(summary.T_map_odom)
         with self._step("scans.csv", failures):
@@ -164,7 +169,8 @@ class RunFolder(Sink):
                 self.files += finisher(self.record)
         self.files += [self.path / "config.toml", self.path / "run.json"]
         with self._step("run.json", failures):
-            self.facts = final_facts(self.facts, self.record, self.files, self.writer_seconds, failures)
+            closing = time.perf_counter() - began
+            self.facts = final_facts(self.facts, self.record, self.files, self.writer_seconds, closing, failures)
             write_text(self.path / "run.json", json.dumps(self.facts, indent=2, allow_nan=False) + "\n")
         if failures:
             raise failures[0]
@@ -194,10 +200,24 @@ class RunFolder(Sink):
         """Leave nothing of a run that has no result."""
         self._trajectories.release()
         self._log.release()
+        self._remove()
+
+    def _remove(self) -> None:
         for name in _OWN:
             (self.path / name).unlink(missing_ok=True)
         if self._created and self.path.is_dir() and not any(self.path.iterdir()):
             self.path.rmdir()
+
+    @contextmanager
+    def _nothing_left_on_failure(self) -> Iterator[None]:
+        """Clear the folder of an earlier run's files, and again if the block fails."""
+        for name in _OWN:
+            (self.path / name).unlink(missing_ok=True)
+        try:
+            yield
+        except BaseException:
+            self._remove()
+            raise
 
     @contextmanager
     def _timed(self, writer: str) -> Iterator[None]:

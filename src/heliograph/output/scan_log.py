@@ -124,13 +124,13 @@ class ScanLog:
         floats = np.concatenate([
             (result.rms, result.nis),
             result.eigenvalues_rotation, result.eigenvalues_translation, result.weak_direction,
-            result.gyro_bias, result.accel_bias, result.v_odom, sigmas(result.covariance), result.T_odom_imu[:3, 3],
+            result.gyro_bias, result.accel_bias, result.v_odom, sigmas(result), result.T_odom_imu[:3, 3],
         ])  # fmt: skip
         self._integers.append(integers)
         self._floats.append(floats)
         self._statuses.append(result.status)
         self._timings.append(dict(result.timings))
-        self._position_covariances.append(result.covariance[3:6, 3:6].copy())
+        self._position_covariances.append(result.pose_covariance[3:, 3:].copy())
         if self._writer is None:
             self._stages = tuple(result.timings)
             self._writer = CsvWriter(self.path, self._columns())
@@ -192,11 +192,11 @@ class ScanLog:
                 writer.append(self._row(integers, row, number))
 
 
-def sigmas(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def sigmas(result: ScanResult) -> NDArray[np.float64]:
     """Return (12,) sigmas of rotation (body axes), position (odom axes), gyro bias and accelerometer bias."""
-    diagonal = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    rotation, position, gyro_bias, accel_bias = diagonal[:3], diagonal[3:6], diagonal[9:12], diagonal[12:15]
-    return np.concatenate([rotation, position, gyro_bias, accel_bias])
+    variances = np.concatenate([np.diagonal(result.pose_covariance), np.diagonal(result.covariance)[9:15]])
+    deviations: NDArray[np.float64] = np.sqrt(np.maximum(variances, 0.0))
+    return deviations
 
 
 def _shortened(floats: NDArray[np.float64]) -> list[float]:

@@ -191,14 +191,16 @@ class MapPictures:
         bar = f'<path class="scale" d="M0 -4V4M0 0H{wide:.1f}M{wide:.1f} -4V4"/>' + text(
             wide / 2, -8, f"{number(length)} m", kind="mark"
         )
-        corner = f"translate({columns - (wide + 22) * size:.1f} {rows - 18 * size:.1f})"
-        parts.append(f'<g transform="{corner} scale({size:.3f})">{bar}</g>')
+        # From above the lower corners are mostly free; from the side the sky is.
+        from_side = view.labels[1] == "z"
+        base = 46 * size if from_side else rows - 20 * size
+        right = columns - (wide + 22) * size
+        left = right - 90 * size if from_side else 24 * size
+        parts.append(f'<g transform="translate({right:.1f} {base:.1f}) scale({size:.3f})">{bar}</g>')
         arrows = (
             '<path class="scale" d="M0 0H30M25 -4L30 0L25 4M0 0V-30M-4 -25L0 -30L4 -25"/>'
             + text(36, 4, view.labels[0], kind="mark", anchor="start")
             + text(0, -36, view.labels[1], kind="mark")
         )
-        # From above the lower left is mostly free; from the side that is where the way begins.
-        left = 24 * size if view.labels[1] != "z" else columns - (wide + 110) * size
-        parts.append(f'<g transform="translate({left:.1f} {rows - 20 * size:.1f}) scale({size:.3f})">{arrows}</g>')
+        parts.append(f'<g transform="translate({left:.1f} {base:.1f}) scale({size:.3f})">{arrows}</g>')
         return parts

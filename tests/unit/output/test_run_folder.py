@@ -7,7 +7,7 @@ import pytest
 from fakes import IMU_STEP_NS, PERIOD_NS, START_NS, FakeMap, FakeOdometry, FakeRecording, make_batch, make_result
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch
-from heliograph.errors import OutputError
+from heliograph.errors import MissingDependencyError, OutputError
 from heliograph.io.clouds import read_cloud
 from heliograph.io.tum import read_tum
 from heliograph.output.run_folder import RunFolder
@@ -192,3 +192,19 @@ def test_run_json_holds_no_nan(tmp_path):
     )
     text = (tmp_path / "out" / "run.json").read_text()
     assert "NaN" not in text and json.loads(text)["ratio"] is None and json.loads(text)["rows"] == [[1, 0], [0, 1]]
+
+
+def test_run_folder_map_format_without_its_package_fails_before_the_run(tmp_path, monkeypatch):
+    def absent(*arguments, **keywords):
+        raise MissingDependencyError("LAZ needs laspy; pip install 'heliograph[las]'")
+
+    monkeypatch.setattr("heliograph.output.run_folder.write_cloud", absent)
+    with pytest.raises(MissingDependencyError, match="laspy"):
+        make_folder(tmp_path / "out", map_format="laz")
+    assert not (tmp_path / "out").exists()
+
+
+def test_run_folder_writes_a_laz_map(tmp_path):
+    laspy = pytest.importorskip("laspy")
+    run_into(make_folder(tmp_path / "out", map_format="laz"))
+    assert laspy.read(tmp_path / "out" / "map.laz").header.point_count == 500

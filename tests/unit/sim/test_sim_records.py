@@ -9,6 +9,7 @@ from heliograph.data import GnssFix, ImuBatch, Scan
 from heliograph.lie import so3
 from heliograph.sim import SCENARIOS, simulate
 from heliograph.sim.geodesy import ecef_to_geodetic, enu_to_geodetic, geodetic_to_ecef
+from heliograph.sim.sensors import LidarModel
 from heliograph.sim.simulate import EPOCH_NS, GRAVITY
 
 QUIET_IMU = {
@@ -226,3 +227,14 @@ def test_geodetic_conversion_inverts_and_agrees_with_known_points():
     north = enu_to_geodetic(np.array([(0.0, 100.0, 0.0)]), np.array([0.9, 0.2, 50.0]))[0]
     assert north[0] > 0.9
     assert north[1] == pytest.approx(0.2, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["warehouse", "demo", "room", "tunnel"])
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+def test_course_keeps_clear_of_the_world(name, seed):
+    simulation = simulate(SCENARIOS[name], seed)
+    T = simulation.truth.pose(simulation.imu_stamps_ns[::100])
+    fan = LidarModel(beams=5, columns=len(T), elevation_deg=(-20.0, 20.0)).directions()
+    for turn in range(0, len(T), max(1, len(T) // 24)):  # each pose looks into 24 directions, five beams each
+        hits = simulation.world.cast(np.roll(fan, turn, axis=1), T, max_range=100.0)
+        assert hits.range[hits.primitive >= 0].min() > 0.5

@@ -1,0 +1,1 @@
+"""Heliograph beside its peers: `python -m benchmarks --help`."""
