@@ -118,19 +118,23 @@ std::vector<int64_t> time_grid(const ImuSamples& samples, int64_t t0, int64_t t1
   return grid;
 }
 
-// Discrete error dynamics of one step (Sola 2017, Quaternion kinematics for the error-state KF, eq. 268-270, for a right
-// perturbation of the rotation and gravity on the sphere).
-NavMatrix step_transition(const NavState& x, const Matrix3d& R_mid, const Vector3d& rate, const Vector3d& force, double dt) {
+// Error dynamics of one step: the exact derivative of what the step does, for a right perturbation of the rotation and
+// gravity on the sphere (to first order in dt it is Sola 2017, Quaternion kinematics for the error-state KF, eq. 268-270).
+NavMatrix step_transition(const NavState& x, const Matrix3d& half_turn, const Vector3d& rate, const Vector3d& force,
+                          double dt) {
   NavMatrix F = NavMatrix::Identity();
-  const Matrix3d lever = -R_mid * hat(force);
+  const Matrix3d R_mid = x.R_odom_imu * half_turn;
+  const Matrix3d lever = -x.R_odom_imu * hat(half_turn * force);
+  const Matrix3d by_gyro_bias = 0.5 * dt * R_mid * hat(force) * right_jacobian(0.5 * dt * rate);
   F.block<3, 3>(0, 0) = rotation_exp(-rate * dt);
   F.block<3, 3>(0, 9) = -right_jacobian(rate * dt) * dt;
   F.block<3, 3>(3, 0) = 0.5 * dt * dt * lever;
   F.block<3, 3>(3, 6) = dt * Matrix3d::Identity();
+  F.block<3, 3>(3, 9) = 0.5 * dt * dt * by_gyro_bias;
   F.block<3, 3>(3, 12) = -0.5 * dt * dt * R_mid;
   F.block<3, 2>(3, 15) = 0.5 * dt * dt * x.g_basis;
   F.block<3, 3>(6, 0) = dt * lever;
-  F.block<3, 3>(6, 9) = -0.5 * dt * dt * lever;
+  F.block<3, 3>(6, 9) = dt * by_gyro_bias;
   F.block<3, 3>(6, 12) = -dt * R_mid;
   F.block<3, 2>(6, 15) = dt * x.g_basis;
   return F;
@@ -174,15 +178,15 @@ Propagation propagate(const NavState& start, const ImuSamples& samples, int64_t 
     const bool held = signal.held(middle);
     const Vector3d rate = reading.gyro - x.gyro_bias;
     const Vector3d force = reading.accel - x.accel_bias;
-    const Matrix3d R_mid = x.R_odom_imu * rotation_exp(0.5 * dt * rate);
-    const Vector3d acceleration = R_mid * force + x.g_odom;
+    const Matrix3d half_turn = rotation_exp(0.5 * dt * rate);
+    const Vector3d acceleration = x.R_odom_imu * half_turn * force + x.g_odom;
 
     // What lies between two samples is unknown: linear interpolation misses a share of the change from one to the next.
     const Reading change = signal.change(middle);
     const double missed = model.curvature * model.curvature * signal.period(middle) / 3.0;
     const double gyro_var = model.gyro_var + missed * change.gyro.squaredNorm() + (held ? model.held_gyro_var : 0.0);
     const double accel_var = model.accel_var + missed * change.accel.squaredNorm() + (held ? model.held_accel_var : 0.0);
-    const NavMatrix F = step_transition(x, R_mid, rate, force, dt);
+    const NavMatrix F = step_transition(x, half_turn, rate, force, dt);
     out.transition = F * out.transition;
     out.noise = F * out.noise * F.transpose();
     add_step_noise(out.noise, gyro_var, accel_var, model, dt);

@@ -16,5 +16,9 @@
 #define CHECK_NEAR(a, b, tolerance) CHECK(std::abs((a) - (b)) <= (tolerance))
 
 // One function a room; main.cpp calls them all.
+void check_cloud();
+void check_imu();
+void check_maps();
+void check_registration();
 void check_sim();
 void check_util();

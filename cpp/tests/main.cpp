@@ -2,6 +2,10 @@
 #include "tests/check.hpp"
 
 int main() {
+  check_cloud();
+  check_imu();
+  check_maps();
+  check_registration();
   check_sim();
   check_util();
   std::puts("all native checks passed");

@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: MIT
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "maps/global_map.hpp"
+#include "maps/voxel_map.hpp"
+#include "tests/check.hpp"
+
+using namespace heliograph;
+
+namespace {
+
+const double kIdentity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+const VoxelMapSettings kSettings{0.5, 3, 8, 200, 0.05, 0.1, 0.1};
+constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
+
+// A floor of side x side metres, 100 points a square metre.
+std::vector<float> floor_points(int side) {
+  std::vector<float> points;
+  for (int i = 0; i < 10 * side; ++i)
+    for (int j = 0; j < 10 * side; ++j)
+      points.insert(points.end(), {0.1F * static_cast<float>(i) + 0.05F, 0.1F * static_cast<float>(j) + 0.05F, 0.2F});
+  return points;
+}
+
+size_t count_planes(const VoxelMap& map) {
+  size_t planes = 0;
+  for (const Plane& plane : map.planes()) planes += plane.variance >= 0.0F ? 1 : 0;
+  return planes;
+}
+
+void check_growth_and_prune() {
+  VoxelMap map(kSettings);
+  map.insert({}, kIdentity);
+  map.prune(kIdentity, 10.0, 100);
+  CHECK(map.size() == 0);
+  map.insert(floor_points(40), kIdentity);  // 80 x 80 cubes and their parents: the table grows several times
+  CHECK(map.size() == 6400 + 1600 + 400);
+  CHECK(count_planes(map) > 6000);
+  for (const Plane& plane : map.planes())
+    if (plane.variance >= 0.0F) CHECK_NEAR(std::abs(plane.normal[2]), 1.0F, 1e-3F);
+  const double centre[3] = {20.0, 20.0, 0.0};
+  map.prune(centre, 10.0, 1'000'000);
+  CHECK(map.size() > 1000 && map.size() < 3000);
+  map.prune(centre, 10.0, 100);
+  CHECK(map.size() >= 100 && map.size() < 120);  // cubes equally far are kept together
+  map.insert(floor_points(40), kIdentity);
+  CHECK(map.size() == 8400);
+  const double nowhere[3] = {1e6, 0.0, 0.0};
+  map.prune(nowhere, 10.0, 0);
+  CHECK(map.size() == 0 && map.bytes() > 0);
+}
+
+void check_odd_points() {
+  VoxelMap map(kSettings);
+  const std::vector<float> odd{kNaN, 0, 0, 1, 2, 3, 0, std::numeric_limits<float>::infinity(), 0};
+  map.insert(odd, kIdentity);
+  CHECK(map.size() == 3);  // one finite point on three levels
+  const std::vector<float> far{1e9F, -1e9F, 1e9F, -131'000.0F, 131'000.0F, 0.0F};
+  map.insert(far, kIdentity);
+  CHECK(map.size() == 9);
+  for (int k = 0; k < 50; ++k) map.insert(std::vector<float>(9, 1.0F), kIdentity);  // one place, again and again
+  CHECK(count_planes(map) == 0);
+}
+
+void check_global() {
+  GlobalMap map(0.2);
+  map.insert({}, {}, kIdentity);
+  CHECK(map.size() == 0 && map.points().empty());
+  const std::vector<float> points{0.05F, 0.05F, 0.05F, 0.15F, 0.05F, 0.05F, kNaN, 0, 0, -0.05F, 0, 0};
+  const std::vector<float> intensity{10.0F, 20.0F, 99.0F, 7.0F};
+  map.insert(points, intensity, kIdentity);
+  CHECK(map.size() == 2);
+  CHECK_NEAR(map.points()[0], 0.1F, 1e-6F);
+  CHECK_NEAR(map.intensity()[0], 15.0F, 1e-5F);
+  CHECK(map.counts()[1] == 1.0F);
+  map.insert(floor_points(60), {}, kIdentity);
+  CHECK(map.size() > 80'000);
+}
+
+}  // namespace
+
+void check_maps() {
+  check_growth_and_prune();
+  check_odd_points();
+  check_global();
+}

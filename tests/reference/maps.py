@@ -1,0 +1,134 @@
+"""Slow, obvious twins of the native maps: dictionaries of lists of points."""
+
+import numpy as np
+
+BUCKET = 16
+
+
+def cube_of(point, edge):
+    return tuple(int(i) for i in np.floor(np.asarray(point) / edge))
+
+
+class SlowVoxelMap:
+    """Keeps every point of every cube; fits planes with `numpy.linalg.eigh` when the native map would."""
+
+    def __init__(self, config):
+        self.config = config
+        self.cubes = {}  # (level, cube) -> {"points": [...], "fitted": int, "plane": None or dict}
+        self.point_size = config.voxel * (2.0 if config.levels > 1 else 1.0)
+        self.buckets = {}
+
+    def edge(self, level):
+        return self.config.voxel * 2**level
+
+    def centre(self, key):
+        return (np.array(key[1]) + 0.5) * self.edge(key[0])
+
+    def insert(self, points_body, T):
+        finite = points_body[np.isfinite(points_body).all(axis=1)].astype(np.float64)
+        groups = {}
+        for q in finite @ T[:3, :3].T + T[:3, 3]:
+            groups.setdefault(cube_of(q, self.config.voxel), []).append(q)
+        touched = []
+        for cube, group in groups.items():
+            for level in range(self.config.levels):
+                key = (level, tuple(c // 2**level for c in cube))
+                entry = self.cubes.setdefault(key, {"points": [], "fitted": 0, "plane": None})
+                if len(entry["points"]) < self.config.max_points:
+                    entry["points"] += group
+                    touched.append(key)
+            self._keep_raw(group[0])
+        for key in touched:
+            self._refit(key)
+
+    def _keep_raw(self, q):
+        bucket = self.buckets.setdefault(cube_of(q, self.point_size), [])
+        far = all(np.linalg.norm(q - other) >= self.config.point_spacing for other in bucket)
+        if far and len(bucket) < BUCKET:
+            bucket.append(q)
+
+    def _refit(self, key):
+        entry, config = self.cubes[key], self.config
+        n = len(entry["points"])
+        if n < config.min_points or n < 1.25 * entry["fitted"]:
+            return
+        entry["fitted"] = n
+        points = np.array(entry["points"])
+        values, vectors = np.linalg.eigh(np.cov(points.T, bias=True))
+        thin, spread = max(values[0], 0.0), values[1]
+        good = thin <= config.max_thickness**2 and spread >= (config.min_spread * self.edge(key[0])) ** 2
+        entry["plane"] = None
+        if good and spread >= 4.0 * thin:
+            entry["plane"] = {
+                "normal": vectors[:, 0],
+                "centroid": points.mean(axis=0),
+                "variance": max(thin, 1e-8) / n,
+                "inv_spread": 1.0 / spread,
+            }
+
+    def prune(self, centre, radius, max_voxels):
+        limit = radius
+        distance = {key: np.linalg.norm(self.centre(key) - centre) for key in self.cubes}
+        if len(distance) > max_voxels > 0:
+            limit = min(limit, sorted(distance.values())[max_voxels - 1])
+        self.cubes = {key: entry for key, entry in self.cubes.items() if distance[key] <= limit}
+        middle = {cube: (np.array(cube) + 0.5) * self.point_size for cube in self.buckets}
+        self.buckets = {c: b for c, b in self.buckets.items() if np.linalg.norm(middle[c] - centre) <= limit}
+
+    def plane_at(self, q, gate):
+        """Normal, point, variance at q, source; None where no cube's plane is near enough."""
+        for level in range(self.config.levels):
+            entry = self.cubes.get((level, cube_of(q, self.edge(level))))
+            plane = entry and entry["plane"]
+            if not plane:
+                continue
+            d = q - plane["centroid"]
+            r = plane["normal"] @ d
+            if abs(r) <= gate:
+                variance = plane["variance"] * (1.0 + (d @ d - r * r) * plane["inv_spread"])
+                return plane["normal"], plane["centroid"], variance, 1 + level
+        return None
+
+    def nearest(self, q, reach):
+        """Stored raw points in the 27 cubes around q, nearer than reach, by distance."""
+        middle = np.array(cube_of(q, self.point_size))
+        near = [p for cube, b in self.buckets.items() if np.abs(np.array(cube) - middle).max() <= 1 for p in b]
+        near = [p for p in near if np.linalg.norm(p - q) < reach]
+        return sorted(near, key=lambda p: np.linalg.norm(p - q))
+
+    def neighbour_plane(self, q, gate):
+        """The plane through the five nearest raw points, None where they are too few, too thick or in a line."""
+        near = self.nearest(q, self.config.fallback_range)[:5]
+        if len(near) < 5:
+            return None
+        points = np.array(near)
+        mean = points.mean(axis=0)
+        values, vectors = np.linalg.eigh(np.cov(points.T, bias=True))
+        normal, thick = vectors[:, 0], self.config.max_thickness
+        if values[0] > thick**2 or values[1] < 4.0 * values[0] or values[1] < 1e-3:
+            return None
+        r, d = normal @ (q - mean), q - mean
+        if np.abs((points - mean) @ normal).max() > 3.0 * thick or abs(r) > gate:
+            return None
+        return normal, mean, thick**2 / 5.0 * (1.0 + (d @ d - r * r) / values[1]), 255
+
+
+class SlowGlobalMap:
+    """Every point of every cube, averaged when asked."""
+
+    def __init__(self, voxel):
+        self.voxel, self.cells = voxel, {}
+
+    def insert(self, points, intensity, T):
+        for i, p in enumerate(points.astype(np.float64)):
+            if np.isfinite(p).all():
+                q = T[:3, :3] @ p + T[:3, 3]
+                self.cells.setdefault(cube_of(q, self.voxel), []).append(
+                    (*q, 0.0 if intensity is None else intensity[i])
+                )
+
+    def means(self):
+        return np.array([np.mean(cell, axis=0) for cell in self.cells.values()]).reshape(-1, 4)
+
+    def counts(self):
+        return np.array([len(cell) for cell in self.cells.values()])

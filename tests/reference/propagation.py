@@ -1,0 +1,99 @@
+"""Slow, obvious twin of the native inertial propagation: one step at a time, matrix exponentials by their series."""
+
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import expm
+
+GRAVITY_COLUMNS = slice(15, 17)
+
+
+def hat(w):
+    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+
+
+def time_grid(stamps_ns, t0, t1, max_step):
+    """Start, samples inside, end; what is longer than a step and a quarter is cut into equal parts."""
+    knots = sorted({t0, t1, *(int(t) for t in stamps_ns if t0 < t < t1)})
+    grid = [t0]
+    for a, b in pairwise(knots):
+        parts = 1
+        while (b - a) > (parts + 0.25) * max_step * 1e9:
+            parts += 1
+        grid += [a + (b - a) * k // parts for k in range(1, parts + 1)]
+    return np.array(grid, dtype=np.int64)
+
+
+def propagate_slowly(imu, state, end_ns, *, noise, config, g_basis):
+    """Return stamps, rotations, positions, velocities, transition (17, 17), noise (17, 17), held seconds."""
+    grid = time_grid(imu.stamps_ns, state.stamp_ns, end_ns, config.max_step)
+    R, p, v = state.R_odom_imu, state.p_odom, state.v_odom
+    path, transition, added, held_s = [(R, p, v)], np.eye(17), np.zeros((17, 17)), 0.0
+    for a, b in pairwise(grid):
+        dt, middle = 1e-9 * float(b - a), int(a) + (int(b) - int(a)) // 2
+        gyro = np.array([np.interp(middle - a, imu.stamps_ns - a, imu.gyro[:, i]) for i in range(3)])
+        accel = np.array([np.interp(middle - a, imu.stamps_ns - a, imu.accel[:, i]) for i in range(3)])
+        w, f = gyro - state.gyro_bias, accel - state.accel_bias
+        held, gyro_var, accel_var = densities(imu, middle, noise, config)
+        F = step_transition(R, w, f, dt, g_basis)
+        transition, added = F @ transition, F @ added @ F.T + step_noise(gyro_var, accel_var, noise, dt)
+        held_s += dt if held else 0.0
+        acceleration = R @ expm(hat(0.5 * dt * w)) @ f + state.g_odom
+        p, v, R = p + v * dt + 0.5 * acceleration * dt**2, v + acceleration * dt, R @ expm(hat(dt * w))
+        path.append((R, p, v))
+    return grid, *(np.stack(column) for column in zip(*path, strict=True)), transition, added, held_s
+
+
+def densities(imu, t, noise, config):
+    """Whether t is held, and the variances of the white noise there with what interpolation may miss."""
+    gyro_var, accel_var = noise.gyro**2, noise.accel**2
+    j = int(np.searchsorted(imu.stamps_ns, t, side="right"))
+    held = j in (0, len(imu.stamps_ns))
+    if not held:
+        period = 1e-9 * float(imu.stamps_ns[j] - imu.stamps_ns[j - 1])
+        missed = config.curvature**2 * period / 3.0
+        gyro_var += missed * ((imu.gyro[j] - imu.gyro[j - 1]) ** 2).sum()
+        accel_var += missed * ((imu.accel[j] - imu.accel[j - 1]) ** 2).sum()
+        held = period > config.max_gap
+    if held:
+        gyro_var, accel_var = gyro_var + config.held_gyro_noise**2, accel_var + config.held_accel_noise**2
+    return held, gyro_var, accel_var
+
+
+def step_transition(R, w, f, dt, g_basis):
+    """Derivative of one step by the errors before it, from the chain rule with matrix exponentials."""
+    half = expm(hat(0.5 * dt * w))
+    # A small turn before the step turns the force too: R exp(e) half f; one of the bias turns half a step of it.
+    by_rotation = -R @ hat(half @ f)
+    by_gyro_bias = R @ half @ hat(f) @ right_jacobian(0.5 * dt * w) * (0.5 * dt)
+    F = np.eye(17)
+    F[0:3, 0:3] = expm(hat(dt * w)).T
+    F[0:3, 9:12] = -right_jacobian(dt * w) * dt
+    for rows, factor in ((slice(3, 6), 0.5 * dt**2), (slice(6, 9), dt)):
+        F[rows, 0:3] = factor * by_rotation
+        F[rows, 9:12] = factor * by_gyro_bias
+        F[rows, 12:15] = -factor * R @ half
+        F[rows, GRAVITY_COLUMNS] = factor * g_basis
+    F[3:6, 6:9] = dt * np.eye(3)
+    return F
+
+
+def right_jacobian(phi):
+    """Sum of the series (-hat)^k / (k + 1)!"""
+    J, term = np.zeros((3, 3)), np.eye(3)
+    for k in range(30):
+        J, term = J + term, term @ -hat(phi) / (k + 2)
+    return J
+
+
+def step_noise(gyro_var, accel_var, noise, dt):
+    """White acceleration integrated once and twice; white rate; the walks of the biases."""
+    Q = np.zeros((17, 17))
+    for i in range(3):
+        Q[i, i] = gyro_var * dt
+        Q[3 + i, 3 + i] = accel_var * dt**3 / 3.0
+        Q[6 + i, 6 + i] = accel_var * dt
+        Q[3 + i, 6 + i] = Q[6 + i, 3 + i] = accel_var * dt**2 / 2.0
+        Q[9 + i, 9 + i] = noise.gyro_walk**2 * dt
+        Q[12 + i, 12 + i] = noise.accel_walk**2 * dt
+    return Q
