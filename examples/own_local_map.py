@@ -1,7 +1,4 @@
-"""A local map of one's own in place of the built-in one: one plane a cube, in NumPy.
-
-python examples/own_local_map.py [SECONDS]
-"""
+"""A local map of one's own, one plane a cube, in place of the built-in one: python own_local_map.py [SECONDS]."""
 
 from __future__ import annotations
 
@@ -20,10 +17,11 @@ class CubeMap:
     """A `heliograph.maps.LocalMap`; `heliograph.testing.assert_local_map` checks such a class."""
 
     def __init__(self, edge: float = 0.5) -> None:
-        self.edge, self.keys, self.sums = edge, np.zeros(0, np.int64), np.zeros((0, 13))  # count, sum, outer product
+        self.edge, self.keys = edge, np.array([-1])  # a cube that no point falls into keeps the look-up free of cases
+        self.sums = np.ones((1, 13))  # count, sum 3, outer product 9
 
     def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:
-        p = points_body @ T_odom_body[:3, :3].T + T_odom_body[:3, 3]
+        p = points_body[np.isfinite(points_body).all(axis=1)] @ T_odom_body[:3, :3].T + T_odom_body[:3, 3]
         rows = np.hstack([np.ones((len(p), 1)), p, (p[:, :, None] * p[:, None, :]).reshape(-1, 9)])
         old, rows = self.keys, np.concatenate([self.sums, rows])
         self.keys, where = np.unique(np.concatenate([old, self._key(p)]), return_inverse=True)
@@ -32,22 +30,23 @@ class CubeMap:
 
     def prune(self, centre_odom: NDArray[np.float64]) -> None:
         near = np.linalg.norm(self.sums[:, 1:4] / self.sums[:, :1] - centre_odom, axis=1) < 100.0
+        near[0] = True
         self.keys, self.sums = self.keys[near], self.sums[near]
 
     def planes_at(self, points_odom: NDArray[np.float64], *, gate: float) -> PlaneMatches:
         key = self._key(points_odom)
-        cube = np.searchsorted(self.keys, key).clip(max=len(self.keys) - 1)
+        cube = np.searchsorted(self.keys, key).clip(max=len(self))
         n, mean = self.sums[cube, :1], self.sums[cube, 1:4] / self.sums[cube, :1]
         moments = (self.sums[cube, 4:] / n).reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]
         spread, axes = np.linalg.eigh(moments)
         near = np.abs(((points_odom - mean) * axes[:, :, 0]).sum(axis=1)) < gate
         flat = (n[:, 0] >= 8) & (spread[:, 0] < 0.05**2) & (spread[:, 1] > (0.1 * self.edge) ** 2)
         source = (near & flat & (self.keys[cube] == key)).astype(np.uint8)
-        variance = (spread[:, 0].clip(min=0.0) / n[:, 0]).astype(np.float32)
+        variance = np.float32(spread[:, 0].clip(min=1e-9) / n[:, 0])
         return PlaneMatches(normal=np.float32(axes[:, :, 0]), point=mean, variance=variance, source=source)
 
     def __len__(self) -> int:
-        return len(self.keys)
+        return len(self.keys) - 1
 
     def _key(self, p: NDArray[np.float64]) -> NDArray[np.int64]:
         return (np.floor(p / self.edge).astype(np.int64) + (1 << 20)) @ np.array([1 << 42, 1 << 21, 1])

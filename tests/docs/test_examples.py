@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from heliograph.testing import assert_local_map
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
@@ -68,3 +70,12 @@ def test_tunnel_degeneracy_points_along_the_tunnel(tmp_path):
     text = _run("tunnel_degeneracy.py", tmp_path / "figure.png", 20)
     assert _numbers(r"cosine ([\d.]+)", text)[0] > 0.99
     assert int(re.search(r"(\d+) of", text)[1]) > 50
+
+
+def test_own_local_map_obeys_the_law(rng):
+    sys.path.insert(0, str(EXAMPLES))
+    try:
+        from own_local_map import CubeMap
+    finally:
+        sys.path.pop(0)
+    assert_local_map(CubeMap, rng)
