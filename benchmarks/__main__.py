@@ -60,6 +60,7 @@ def main() -> None:
         )
         _write("speed", speed.alternate(folder, timed, arguments.work, bins, runs=arguments.runs))
     table.write_table(_RESULTS, _ROOT / "benchmarks" / "BENCHMARKS.md")
+    table.write_readme(_RESULTS, _ROOT / "README.md")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.accuracy import accuracy, in_imu_frame
-from benchmarks.process import Cost, measure
+from benchmarks.process import Cost, measure, version_of
 from benchmarks.rivals import Adapter, Job
 from heliograph.data import Trajectory
 from heliograph.io import open_recording
@@ -76,6 +76,7 @@ def _row(
     return {
         "benchmark": "speed_warehouse",
         "system": adapter.name,
+        "version": version_of(adapter.package, job.bin),
         "sensors": adapter.sensors,
         "runs": len(costs),
         "scans": scans,

@@ -8,22 +8,46 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["write_table"]
+__all__ = ["write_readme", "write_table"]
 
 _Rows = list[dict[str, Any]]
 
 
+def _load(results: Path) -> dict[str, _Rows]:
+    files = results.glob("*.jsonl")
+    return {file.stem: [json.loads(line) for line in file.read_text().splitlines()] for file in files}
+
+
 def write_table(results: Path, target: Path) -> None:
     """Write every result that is there, each section with the bar it is held against."""
-    found = {
-        file.stem: [json.loads(line) for line in file.read_text().splitlines()] for file in results.glob("*.jsonl")
-    }
+    found = _load(results)
     sections = [_INTRO]
     for name, section in (("kitti", _kitti), ("sharpness", _sharpness), ("speed", _speed)):
         if name in found:
             sections.append(section(found[name]))
     target.write_text("\n".join(sections))
 
+
+def write_readme(results: Path, target: Path) -> None:
+    """Replace what stands between the marks in the README by the short table."""
+    found = _load(results)
+    timed = {r["system"]: r for r in found.get("speed", [])}
+    body = []
+    for r in found.get("kitti", []):
+        t = timed.get(r["system"])
+        simulated = ["-"] * 4
+        if t is not None:
+            milliseconds = [f"{t[key]:.0f}" for key in ("wall_ms_per_scan", "cpu_ms_per_scan")]
+            simulated = [f"{1e3 * t['ate_m']:.1f}", *milliseconds, f"{t['peak_mb']:.0f}"]
+        kitti = [f"{r['ate_m']:.2f}", f"{r['rpe_rotation_deg']:.3f}"]
+        body.append([r["system"], r["sensors"], *kitti, *simulated])
+    head = ["", "sensors", "KITTI ATE m", "RPE deg / 10 m", "warehouse ATE mm", "wall ms a scan", "cpu ms", "peak MB"]
+    before, start, rest = target.read_text().partition(_MARKS[0])
+    _, end, after = rest.partition(_MARKS[1])
+    target.write_text(f"{before}{start}\n{_table(head, body)}{end}{after}")
+
+
+_MARKS = ("<!-- benchmarks: written by `python -m benchmarks table` -->", "<!-- /benchmarks -->")
 
 _INTRO = """# Benchmarks
 
@@ -40,7 +64,7 @@ def _kitti(rows: _Rows) -> str:
     rivals = [r for r in rows if r["system"] != "heliograph"]
     body = [
         [
-            r["system"],
+            f"{r['system']} {r['version']}",
             r["sensors"],
             r["poses"],
             f"{r['ate_m']:.3f}",
@@ -89,7 +113,7 @@ def _sharpness(rows: _Rows) -> str:
 def _speed(rows: _Rows) -> str:
     body = [
         [
-            r["system"],
+            f"{r['system']} {r['version']}",
             f"{r['wall_ms_per_scan']:.1f}",
             f"{r['cpu_ms_per_scan']:.1f}",
             "-" if r["writers_ms_per_scan"] is None else f"{r['writers_ms_per_scan']:.1f}",

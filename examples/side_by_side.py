@@ -38,7 +38,7 @@ def position_error(results: list[ScanResult], simulation: Simulation) -> tuple[N
 
 def main() -> None:
     scenario = SCENARIOS["room"].thinned(columns=256, duration=float(sys.argv[2]) if len(sys.argv) > 2 else 15.0)
-    shaken = scenario.varied(gait={"yaw_deg": 25.0, "pitch_deg": 10.0, "roll_deg": 10.0})
+    shaken = scenario.varied(gait={"frequency": 2.4, "yaw_deg": 25.0, "pitch_deg": 10.0, "roll_deg": 10.0})
     figure, axes = plt.subplots(1, 4, figsize=(16, 4), layout="constrained")
     for (name, sensors), view in zip(CHOICES.items(), axes[1:], strict=True):
         simulation = simulate(shaken, seed=1, threads=2)
