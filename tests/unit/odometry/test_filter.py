@@ -1,6 +1,7 @@
 """The filter's step on a room that a user's own map holds, and what it does with little or nothing to match."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_every_scan_has_one_result_with_its_stamps_and_its_cloud(walk):
 def test_paths_of_neighbouring_scans_join(walk):
     simulation, records = walk
     results = follow(records, make_odometry(RunConfig(), simulation.rig, BOTH, 1))
-    for before, after in zip(results[2:], results[3:], strict=False):
+    for before, after in pairwise(results[2:]):
         assert after.path.stamps_ns[0] == before.end_ns
         np.testing.assert_allclose(after.path.T_frame_body[0], before.T_odom_imu, atol=1e-9)
 
