@@ -114,6 +114,19 @@ def test_run_folds_warnings_of_recording_odometry_and_scans():
     assert {event.code: event.count for event in summary.events} == {"late": 3, "start": 1, "gap": 3}
 
 
+def test_run_names_the_weakest_scan_among_those_that_matched():
+    class Varied(FakeOdometry):
+        def finish(self):
+            sets = {20: (0.3, 0.3, 0.4), 21: (0.1, 0.1, 0.8), 22: (0.2, 0.2, 0.6), 23: (0.0, 0.0, 0.0)}
+            return [
+                make_result(i, eigenvalues_translation=np.array(values), matches=0 if i == 23 else 40)
+                for i, values in sets.items()
+            ]
+
+    summary = run(FakeRecording(2), RunConfig(threads=1), odometry=Varied())
+    assert (summary.weakest_index, summary.weakest_eigenvalue) == (21, 0.1)
+
+
 def test_run_turns_the_weakest_direction_with_the_map():
     T = np.eye(4)
     T[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]

@@ -16,9 +16,7 @@ __all__ = ["MapFormat", "OdometryName", "build_config", "input_options", "sensor
 
 Recordings = Annotated[
     list[Path],
-    typer.Argument(
-        metavar="RECORDING...", help="A bag, an MCAP file, a pcap, a folder, or several that belong together."
-    ),
+    typer.Argument(metavar="RECORDING", help="A bag, an MCAP file, a pcap, a folder, or several that belong together."),
 ]
 LidarTopic = Annotated[
     str | None, typer.Option("--lidar-topic", metavar="TOPIC", help="LiDAR topic, where there are several.")

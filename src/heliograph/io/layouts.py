@@ -1,6 +1,6 @@
 """The per-point time layouts of the drivers that people record with, as data.
 
-Each row was checked against the driver's own source (named in ``checked``); `tests/unit/io/layouts.py` keeps a
+Each row was checked against the driver's own source (named in ``checked``); `tests/unit/io/test_timing.py` keeps a
 fixture of each. The table says what to expect; the data decide, and a contradiction is reported.
 """
 
@@ -83,7 +83,7 @@ LAYOUTS: tuple[Layout, ...] = (
         reference="absolute",
         fields=("intensity", "tag", "line"),
         stamp="first point",
-        checked="livox_ros_driver2: src/lddc.cpp (LivoxPointXyzrtlt)",
+        checked="livox_ros_driver2: LivoxPointXyzrtlt in src/comm/comm.h, src/lddc.cpp",
     ),
     Layout(
         name="ouster",
@@ -93,7 +93,7 @@ LAYOUTS: tuple[Layout, ...] = (
         reference="header",
         fields=("intensity", "reflectivity", "ring", "range"),
         stamp="first column of the frame",
-        checked="ouster-ros: include/ouster_ros/os_point.h, src/point_cloud_compose.h",
+        checked="ouster-ros: include/ouster_ros/os_point.h",
     ),
     Layout(
         name="velodyne",
@@ -113,8 +113,8 @@ LAYOUTS: tuple[Layout, ...] = (
         reference="absolute",
         fields=("intensity", "ring"),
         stamp="start of the frame",
-        # RoboSense writes the same fields: rslidar_sdk, XYZIRT in src/source/source_pointcloud_ros.hpp and src/msg.
-        checked="HesaiLidar_ROS_2.0: src/manager/source_driver_ros2.hpp; rslidar_sdk: POINT_TYPE XYZIRT",
+        # RoboSense writes the same fields; its stamp is the first or the last point's, by the driver's settings.
+        checked="HesaiLidar_ROS_2.0: src/manager/source_driver_ros2.hpp; rslidar_sdk: src/msg/rs_msg",
     ),
 )
 

@@ -240,6 +240,12 @@ class McapStorage:
         self.start_ns, self.end_ns = min(self.start_ns, time_ns), max(self.end_ns, time_ns)
         return int(key)
 
+    def _note_damage(self, offset: int, length: int, error: Exception) -> None:
+        if offset + length >= self._size:
+            return  # the file's cut-off end, which is reported as such
+        message = f"{self.path.name}: the chunk at byte {offset} is damaged ({error}); its readable part is used"
+        note(self.events, Event(code="damaged-chunk", message=message))
+
     def _index_chunk(self, record: memoryview, offset: int) -> None:
         keys: set[int] = set()
         try:
@@ -248,8 +254,7 @@ class McapStorage:
                 if opcode == MESSAGE:
                     keys.add(self._count_message(inner))
         except DAMAGE as error:  # the messages before it are as good as any, and so are the chunks after it
-            message = f"{self.path.name}: the chunk at byte {offset} is damaged ({error}); its readable part is used"
-            note(self.events, Event(code="damaged-chunk", message=message))
+            self._note_damage(offset, len(record) + RECORD.size, error)
         first, last = struct.unpack_from("<QQ", record, 0)
         self._chunks.append(_Chunk(first, last, offset, len(record) + RECORD.size, frozenset(keys)))
 
@@ -283,10 +288,7 @@ class McapStorage:
                 if key in wanted and start_ns <= time_ns < NEVER:
                     found.append((wanted[key], time_ns, record[MESSAGE_HEAD.size :]))
         except DAMAGE as error:
-            message = (
-                f"{self.path.name}: the chunk at byte {chunk.offset} is damaged ({error}); its readable part is used"
-            )
-            note(self.events, Event(code="damaged-chunk", message=message, stamp_ns=chunk.start_ns))
+            self._note_damage(chunk.offset, chunk.length, error)
         found.sort(key=lambda item: item[1])
         return iter(found)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from rosbags.rosbag2 import Reader, ReaderError
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
+from heliograph.io.sqlite_salvage import SqliteSalvage
 from heliograph.io.storage import Channel, RawBytes, note, ros2_name
 
 __all__ = ["SqliteStorage"]
@@ -40,22 +42,39 @@ class SqliteStorage:
             if file.read(len(MAGIC)) != MAGIC:
                 raise FormatError(path, "not an SQLite file: check the file's name and download")
         self._reader = Reader(path)
+        self._salvage: SqliteSalvage | None = None
         try:
             self._reader.open()
-        except Exception as error:
-            reason = (
-                f"its tables cannot be read ({error}); recover it with 'sqlite3 BAD.db3 .recover | sqlite3 GOOD.db3'"
-            )
-            raise FormatError(path, reason) from error
+        except Exception as error:  # rosbags', apsw's and SQLite's own have no common base
+            self._open_damaged(error)
+            return
         self.channels = [self._channel(c) for c in self._reader.connections]
         counted = self._reader.message_count > 0
         self.start_ns = self._reader.start_time if counted else 0
         self.end_ns = self._reader.end_time - 1 if counted else 0
 
+    def _open_damaged(self, cause: Exception) -> None:
+        reason = f"its tables cannot be read ({cause}); recover it with 'sqlite3 BAD.db3 .recover | sqlite3 GOOD.db3'"
+        try:
+            salvage = SqliteSalvage(self.path)
+        except (sqlite3.Error, OSError) as error:
+            raise FormatError(self.path, reason) from error
+        count = sum(channel.count for channel in salvage.channels)
+        if count == 0:
+            salvage.close()
+            raise FormatError(self.path, reason) from cause
+        message = f"{self.path.name} is damaged or unfinished; its {count} readable messages are used"
+        note(self.events, Event(code="truncated", message=message))
+        self._salvage = salvage
+        self.channels, self.start_ns, self.end_ns = salvage.channels, salvage.start_ns, salvage.end_ns
+
     def close(self) -> None:
         """Release the file."""
         if self._reader.is_open:
             self._reader.close()
+        if self._salvage is not None:
+            self._salvage.close()
+            self._salvage = None
 
     @staticmethod
     def _channel(connection: Connection) -> Channel:
@@ -64,6 +83,9 @@ class SqliteStorage:
 
     def messages(self, topics: frozenset[str], start_ns: int) -> Iterator[RawBytes]:
         """Yield the messages of ``topics`` received at or after ``start_ns``, in that order."""
+        if self._salvage is not None:
+            yield from self._salvage.messages(topics, start_ns)
+            return
         connections = [c for c in self._reader.connections if c.topic in topics]
         if not connections:
             return

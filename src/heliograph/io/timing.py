@@ -145,12 +145,26 @@ def _with_field(
         layout = None
     dtype = clouds[0].columns[field].dtype
     chosen = "override" if config.point_time_field else "data"
-    driver = f"as {layout.name} drivers write it" if layout else "by its name"
+    driver = f"as {layout.name} drivers write it (header stamp: {layout.stamp})" if layout else "by its name"
     inferences = [inferred("point time field", field, f"{dtype.name}, {driver}", source=chosen)]
     unit, unit_inference, events = _unit(spans, base.period_ns, layout, config.point_time_unit)
     timing = replace(base, method="field", field=field, ns_per_unit=UNITS[unit])
     timing, reference_inference, more = _reference(timing, spans, clouds, config.point_time_reference)
+    if layout is not None and not config.point_time_reference:
+        more = [*more, *_check_reference(timing, layout)]
     return TimingResult(timing, (*inferences, unit_inference, *reference_inference), (*events, *more))
+
+
+def _check_reference(timing: PointTiming, layout: Layout) -> list[Event]:
+    words = {"header": "counted from the header stamp", "absolute": "absolute", "other-clock": "absolute"}
+    expected, found = words[layout.reference], words[timing.reference]
+    if expected == found:
+        return []
+    message = (
+        f"'{layout.field}' of {layout.name} drivers is {expected}, but in this recording it is {found}; set "
+        "input.point_time_reference to overrule"
+    )
+    return [Event(code="point-time-reference", message=message)]
 
 
 def _unit(spans: _Spans, period_ns: int, layout: Layout | None, override: str) -> tuple[str, Inference, list[Event]]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.output.record import RunRecord
+from heliograph.output.summary import RunSummary
 
 __all__ = ["final_facts", "peak_memory_mb", "versions"]
 
@@ -72,15 +73,6 @@ def final_facts(
         Writers' failures.
     """
     summary = record.summary
-    wall = summary.wall_seconds + closing_seconds
-    timings = {
-        **{f"{name}_s": value for name, value in summary.seconds.items()},
-        "writing_s": sum(writer_seconds.values()),
-        "wall_s": wall,
-        "wall_ms_per_scan": 1e3 * wall / summary.scans,
-        "odometry_ms_per_scan": dict(summary.stage_ms),
-        "writers_ms_per_scan": {name: 1e3 * value / summary.scans for name, value in writer_seconds.items()},
-    }
     account = {
         "status": summary.status,
         "reasons": list(summary.reasons),
@@ -98,7 +90,7 @@ def final_facts(
             "direction_map": summary.weakest_direction.tolist(),
         },
         "warnings": [asdict(event) for event in summary.events],
-        "timings": timings,
+        "timings": _timings(summary, writer_seconds, closing_seconds),
         "peak_memory_mb": peak_memory_mb(),
         "map_points": len(record.points_map),
         "T_map_odom": summary.T_map_odom.tolist(),
@@ -107,6 +99,19 @@ def final_facts(
         "files": [path.name for path in files],
     }
     return {key: plain(value) for key, value in account.items()}
+
+
+def _timings(summary: RunSummary, writer_seconds: Mapping[str, float], closing_seconds: float) -> dict[str, Any]:
+    """Return where the time went: stages of the run, stages of the odometry, writers apart."""
+    wall = summary.wall_seconds + closing_seconds
+    return {
+        **{f"{name}_s": value for name, value in summary.seconds.items()},
+        "writing_s": sum(writer_seconds.values()),
+        "wall_s": wall,
+        "wall_ms_per_scan": 1e3 * wall / summary.scans,
+        "odometry_ms_per_scan": dict(summary.stage_ms),
+        "writers_ms_per_scan": {name: 1e3 * value / summary.scans for name, value in writer_seconds.items()},
+    }
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 - any value in, JSON's types out

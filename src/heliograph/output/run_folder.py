@@ -69,7 +69,7 @@ class RunFolder(Sink):
     T_imu_body : (4, 4) float64
         That frame on the IMU.
     global_map : MapAccumulator or None
-        Collects the points; None writes no map.
+        Collects the points; None where there is no LiDAR, so no map.
     map_format : str
         ``"ply"``, ``"pcd"`` or ``"laz"``.
     facts : callable
@@ -118,7 +118,8 @@ class RunFolder(Sink):
                 write_cloud(path / f"map.{map_format}", np.zeros((1, 3), dtype=np.float32))
                 (path / f"map.{map_format}").unlink()
             version = str(self.facts.get("versions", {}).get("heliograph", ""))
-            self._trajectories = TrajectoryFiles(path, body=body, T_imu_body=T_imu_body, version=version)
+            stamp = "time of the pose [s]" if global_map is None else "header stamp of a LiDAR message [s]"
+            self._trajectories = TrajectoryFiles(path, body=body, T_imu_body=T_imu_body, version=version, stamp=stamp)
             self._log = ScanLog(path / "scans.csv")
 
     def observe(self, message: Scan | ImuBatch | GnssFix) -> None:

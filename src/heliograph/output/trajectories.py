@@ -29,17 +29,19 @@ class TrajectoryFiles:
         That frame on the IMU.
     version : str
         For the first line of each file.
+    stamp : str
+        Meaning of the stamps of ``trajectory.tum`` and ``odometry.tum``, likewise.
     """
 
-    def __init__(self, folder: Path, *, body: str, T_imu_body: NDArray[np.float64], version: str) -> None:
+    def __init__(self, folder: Path, *, body: str, T_imu_body: NDArray[np.float64], version: str, stamp: str) -> None:
         self.folder, self.body, self.T_imu_body, self.version = folder, body, T_imu_body, version
         self._scan_rate = {
-            name: TumWriter(folder / name, self.header(frame, "header stamp of a LiDAR message [s]"))
+            name: TumWriter(folder / name, self.header(frame, stamp))
             for name, frame in (("trajectory.tum", "map"), ("odometry.tum", "odom"))
         }
         self._imu_rate: TumWriter | None = None
         self._pending: list[NDArray[np.int64]] = []
-        self._last_scan_ns = self._last_imu_ns = np.iinfo(np.int64).min
+        self._last_scan_ns = np.iinfo(np.int64).min
 
     def header(self, frame: str, stamp: str) -> str:
         """Return a file's first line."""
@@ -63,14 +65,13 @@ class TrajectoryFiles:
         if not len(path):
             return
         samples = np.concatenate(self._pending)
-        new = np.isin(path.stamps_ns, samples) & (path.stamps_ns > self._last_imu_ns)
+        new = np.isin(path.stamps_ns, samples)
         new[1:] &= np.diff(path.stamps_ns) > 0
-        self._pending = [samples[samples > path.stamps_ns[-1]]]
+        self._pending = [samples[samples > path.stamps_ns[-1]]]  # so that a sample at a scan's end comes once
         if not new.any():
             return
         if self._imu_rate is None:
             self._imu_rate = TumWriter(self.folder / FILES[2], self.header("map", "time of an IMU sample [s]"))
-        self._last_imu_ns = int(path.stamps_ns[new][-1])
         self._imu_rate.extend(path.stamps_ns[new], path.T_frame_body[new] @ self.T_imu_body)
 
     def writers(self) -> Iterator[TumWriter]:

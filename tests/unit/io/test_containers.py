@@ -8,7 +8,7 @@ from io_bags import T0, Bag, drive
 
 from heliograph.data import GnssFix, ImuBatch, Scan
 from heliograph.errors import FormatError
-from heliograph.io import open_recording
+from heliograph.io import open_recording, prefetch
 
 
 def read(paths, **kw):
@@ -168,6 +168,31 @@ def rechunked(path, target):
     out += record(0x0F, struct.pack("<I", 0)) + record(0x02, struct.pack("<QQI", 0, 0, 0)) + MAGIC
     target.write_bytes(out)
     return target
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_cut_off_mcap_chunk_gives_its_readable_part_with_one_warning(share, tmp_path):
+    path = cut(drive(60).mcap(tmp_path / "a.mcap"), share)  # all messages are in one chunk
+    recording, items = read(path)
+    assert [e.code for e in recording.events] == ["truncated"]
+    assert 0.8 * share * 60 <= len(scans_of(items)) < 60
+
+
+@pytest.mark.parametrize("share", [0.3, 0.9])
+def test_cut_off_sqlite_file_gives_its_readable_part(share, tmp_path):
+    folder = drive(60).ros2(tmp_path / "bag", storage="sqlite3")
+    cut(next(folder.glob("*.db3")), share)
+    with open_recording(folder) as recording:
+        items = list(prefetch(recording.stream()))
+        assert [e.code for e in recording.events] == ["truncated"]
+    stamps = [s.stamp_ns for s in scans_of(items)]
+    assert 0.8 * share * 60 <= len(stamps) < 60
+    assert stamps == [T0 + k * 100_000_000 for k in range(len(stamps))]
+
+
+def test_sqlite_bag_is_read_in_another_thread(tmp_path, reference):
+    with open_recording(drive().ros2(tmp_path / "bag", storage="sqlite3")) as recording:
+        assert len(scans_of(list(prefetch(recording.stream())))) == len(scans_of(reference[1]))
 
 
 @pytest.mark.parametrize("compression", ["", "lz4"])

@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from io_bags import (
     CLOUD,
@@ -155,7 +155,8 @@ def slow_columns(fields, order, shape, steps, data):
 
 
 @given(random_clouds())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150, deadline=None, derandomize=True)
+@example((([("x", 1, "f4")]), ">", (1, 1), (11, 11), b"\x00\x7f\x80\x00\x01\x00\x00\x00\x00\x00\x00"))
 def test_point_columns_equal_the_slow_twin(case):
     fields, order, shape, steps, data = case
     given_fields = tuple((name, offset, DATATYPES[kind], 1) for name, offset, kind in fields)
@@ -163,7 +164,9 @@ def test_point_columns_equal_the_slow_twin(case):
     slow = slow_columns(fields, order, shape, steps, data)
     assert list(fast) == list(slow)
     for name in slow:
-        assert np.array_equal(fast[name].astype(np.float64), np.array(slow[name], np.float64), equal_nan=True)
+        with np.errstate(invalid="ignore"):  # a signalling NaN among the random bytes warns when it is converted
+            values = fast[name].astype(np.float64)
+        assert np.array_equal(values, np.array(slow[name], np.float64), equal_nan=True)
 
 
 @pytest.mark.parametrize("ros", [1, 2])

@@ -8,7 +8,7 @@ from heliograph.config import InputConfig
 from heliograph.errors import ConfigError, DataError
 from heliograph.io.layouts import LAYOUTS, find_layout
 from heliograph.io.raw import RawCloud
-from heliograph.io.scans import PointTiming, to_scan
+from heliograph.io.scans import PointTiming, azimuth_offsets, to_scan
 from heliograph.io.timing import infer_timing
 
 XYZ = [("x", "<f4", 0), ("y", "<f4", 4), ("z", "<f4", 8)]
@@ -123,6 +123,13 @@ def test_nanoseconds_in_the_seconds_field_of_velodyne_are_caught():
     assert np.abs(to_scan(clouds[0], result.timing).offsets_ns - OFFSETS).max() <= 8  # single precision
 
 
+def test_absolute_times_in_a_relative_field_are_used_and_reported():
+    clouds = clouds_of(OUSTER, 48, "t", lambda s, o: (s - T0 + o) // 1000 + 4_000_000_000)
+    result = infer_timing(clouds, InputConfig())
+    assert {"point-time-reference", "point-clock", "point-time-unit"} == {e.code for e in result.events}
+    assert np.abs(to_scan(clouds[1], result.timing).offsets_ns - OFFSETS).max() <= 1000
+
+
 def test_overridden_unit_is_obeyed():
     clouds = clouds_of(VELODYNE, 22, "time", lambda _, o: o * 1e-9)
     result = infer_timing(clouds, InputConfig(point_time_unit="ms"))
@@ -209,6 +216,20 @@ def test_times_come_from_the_azimuth_where_no_field_has_them(direction):
     assert result.timing.method == "azimuth"
     assert not scan.has_point_times
     assert np.abs(scan.offsets_ns - np.arange(N) * PERIOD / N).max() < 10_000
+
+
+def test_sweep_whose_first_beams_are_lost_keeps_the_others_times():
+    dtype = point_dtype(XYZI, 16)
+    clouds = [raw(sweep(dtype, N, seed=k), T0 + k * PERIOD) for k in range(4)]
+    lost = raw(sweep(dtype, N, seed=9)[3:], T0 + 4 * PERIOD)
+    scan = to_scan(lost, infer_timing([*clouds, lost], InputConfig()).timing)
+    assert np.abs(scan.offsets_ns - np.arange(3, N) * PERIOD / N).max() < 10_000
+
+
+def test_point_a_hair_before_the_first_azimuth_is_at_the_start():
+    points = np.array([[1.0, -1e-4, 0.0], [0.0, 1.0, 0.0]], np.float32)
+    timing = PointTiming(method="azimuth", direction=1, azimuth=0.0, period_ns=PERIOD)
+    assert azimuth_offsets(points, timing).tolist() == [0, PERIOD // 4]
 
 
 def test_times_come_from_the_column_of_an_organised_cloud():

@@ -76,6 +76,19 @@ def test_top_view_lays_the_longer_side_down():
     assert np.linalg.det(turned.axes) == pytest.approx(1.0), "a turned picture must not be a mirrored one"
 
 
+def test_pictures_have_up_at_the_top():
+    points = np.concatenate([grid(), [[10.0, 9.0, 5.0]]]).astype(np.float32)
+    top = top_view(points, points[:2].astype(float))
+    side = side_view(points, points[-2:].astype(float), top)
+    corners = np.array([[1.0, 1.0, 0.0], [19.0, 9.0, 5.0]])
+    (left, bottom), (right, upper) = top.to_pixels(corners)
+    assert left < right and upper < bottom
+    (left, bottom), (right, upper) = side.to_pixels(corners)
+    assert left < right and upper < bottom
+    rows, columns = top.shape
+    assert top.to_pixels(corners).min() >= 0 and (top.to_pixels(corners) < (columns, rows)).all()
+
+
 def test_side_view_shares_the_horizontal_axis_and_the_scale():
     points = grid()
     top = top_view(points, points[:2].astype(float))
