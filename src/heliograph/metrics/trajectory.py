@@ -157,9 +157,7 @@ def associate(
     travelled = _travelled(reference.T_frame_body)
     return Association(
         stamps_ns=at,
-        T_estimate=estimate.T_frame_body[usable]
-        if by_estimate
-        else interpolate_se3(stamps, estimate.T_frame_body, at),
+        T_estimate=estimate.T_frame_body[usable] if by_estimate else interpolate_se3(stamps, estimate.T_frame_body, at),
         T_reference=interpolate_se3(reference.stamps_ns, reference.T_frame_body, at)
         if by_estimate
         else reference.T_frame_body[usable],
