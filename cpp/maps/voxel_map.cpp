@@ -68,6 +68,7 @@ bool VoxelMap::add(const Delta& delta, uint64_t level) {
   if (is_new) {
     planes_.push_back({{0, 0, 0}, {0, 0, 0}, -1.0F, 0.0F});
     moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}});
+    born_.push_back(static_cast<uint32_t>(mountings_.size() / 12 - 1));
   }
   Moments& m = moments_[id];
   if (m.count >= static_cast<float>(settings_.max_points)) return false;
@@ -118,9 +119,11 @@ void VoxelMap::refit(uint32_t id) {
   plane.inv_spread = static_cast<float>(1.0 / spread[1]);
 }
 
-double VoxelMap::insert(std::span<const float> points_body, const double* T_odom_body) {
+double VoxelMap::insert(std::span<const float> points_body, const double* T_odom_body, const double* T_body_lidar) {
   const std::vector<Delta> deltas = gather(points_body, T_odom_body);
   touched_.clear();
+  if (anchor_.empty()) anchor_.assign(T_odom_body, T_odom_body + 12);
+  mountings_.insert(mountings_.end(), T_body_lidar, T_body_lidar + 12);
   FlatIndex coarse(12);
   size_t created = 0;
   const auto top = static_cast<uint64_t>(settings_.levels - 1);
@@ -158,11 +161,13 @@ void VoxelMap::prune(const double* centre, double radius, size_t max_voxels) {
     if (distance2[id] > limit2) continue;
     planes_[kept] = planes_[id];
     moments_[kept] = moments_[id];
+    born_[kept] = born_[id];
     index.insert(moments_[kept].key, static_cast<uint32_t>(kept));
     ++kept;
   }
   planes_.resize(kept);
   moments_.resize(kept);
+  born_.resize(kept);
   index_ = std::move(index);
   points_.prune(centre, std::sqrt(limit2));
 }

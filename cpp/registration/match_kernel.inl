@@ -14,6 +14,7 @@ struct FoundPlane {
   float offset[3];  // query minus a point of the plane
   float variance;   // of the plane at the query, across it [m^2]
   uint8_t source;   // 0 none, 1 + level, 255 neighbours
+  uint32_t id;      // of the cube, where there is one
 };
 
 inline uint64_t kernel_mix(uint64_t key) {
@@ -45,8 +46,15 @@ inline bool find(const IndexView& index, uint64_t key, uint32_t* value) {
   }
 }
 
+// False for NaN, and where a cube's index would not fit.
+inline bool within_world(const double* q) {
+  constexpr double kEnd = 1e12;
+  return std::abs(q[0]) < kEnd && std::abs(q[1]) < kEnd && std::abs(q[2]) < kEnd;
+}
+
 // The finest plane whose cube holds q and whose distance passes the gate.
 inline bool find_plane(const MapView& map, const double* q, float gate, FoundPlane* out) {
+  if (!within_world(q)) return false;
   const double inverse = 1.0 / map.voxel;
   const auto x = kernel_floor(q[0] * inverse);
   const auto y = kernel_floor(q[1] * inverse);
@@ -71,6 +79,7 @@ inline bool find_plane(const MapView& map, const double* q, float gate, FoundPla
     out->offset[2] = dz;
     out->variance = plane.variance * (1.0F + (dx * dx + dy * dy + dz * dz - r * r) * plane.inv_spread);
     out->source = static_cast<uint8_t>(1 + level);
+    out->id = id;
     return true;
   }
   return false;
@@ -107,6 +116,7 @@ inline float axis_gap(float inside, float size, int step) {
 inline void find_nearest(const MapView& map, const double* q, float range, Nearest* best) {
   constexpr int kOrder[3] = {0, -1, 1};
   best->count = 0;
+  if (!within_world(q)) return;
   const double size = map.point_size;
   const auto edge = static_cast<float>(size);
   int64_t c[3];
@@ -229,19 +239,36 @@ inline void pose_row(const MatchInput& in, const float* p, const double* n, doub
   J[5] = n[2];
 }
 
-// ... by the mounting's rotation and lever arm.
-inline void mounting_row(const MatchInput& in, const float* p, const double* m, double* J) {
-  const double* E = in.T_body_lidar;
-  const double d[3] = {p[0] - E[3], p[1] - E[7], p[2] - E[11]};
-  double l[3], k[3];
-  rotate_back(E, d, l);
+// Derivative of n.(R (E p_l)) by E, the mounting, for a point q of the odom frame seen from the body pose T (3x4).
+inline void mounting_part(const double* T, const double* E, const double* q, const double* n, double* J) {
+  const double d[3] = {q[0] - T[3], q[1] - T[7], q[2] - T[11]};
+  double p[3], l[3], m[3], k[3];
+  rotate_back(T, d, p);
+  rotate_back(T, n, m);
+  const double e[3] = {p[0] - E[3], p[1] - E[7], p[2] - E[11]};
+  rotate_back(E, e, l);
   rotate_back(E, m, k);
-  J[0] = l[1] * k[2] - l[2] * k[1];
-  J[1] = l[2] * k[0] - l[0] * k[2];
-  J[2] = l[0] * k[1] - l[1] * k[0];
-  J[3] = m[0];
-  J[4] = m[1];
-  J[5] = m[2];
+  J[0] = (l[1] * k[2] - l[2] * k[1]);
+  J[1] = (l[2] * k[0] - l[0] * k[2]);
+  J[2] = (l[0] * k[1] - l[1] * k[0]);
+  for (int i = 0; i < 3; ++i) J[3 + i] = m[i];
+}
+
+// ... by the mounting's rotation and lever arm. Matching ties each LiDAR pose to the map, whatever the mounting; so an error
+// of the mounting moves the whole map as one piece, by what it did at the very first pose, and only the difference to what
+// it does at this pose shows. Returns how far that has moved the plane since it was made, as the mounting is believed now.
+inline double mounting_row(const MatchInput& in, const FoundPlane& plane, const double* q, const double* n, double* J) {
+  for (int i = 0; i < 6; ++i) J[i] = 0.0;
+  if (plane.source == 255) return 0.0;  // its points came from many insertions: they are not asked while this runs
+  const uint64_t insertion = in.map.born[plane.id];
+  double then[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, moved = 0.0;
+  mounting_part(in.T_odom_body, in.T_body_lidar, q, n, J);
+  mounting_part(in.map.anchor, in.T_body_lidar, q, n, then);
+  for (int i = 0; i < 6; ++i) {
+    moved += then[i] * in.remount[6 * insertion + static_cast<uint64_t>(i)];
+    J[i] -= then[i];
+  }
+  return moved;
 }
 
 // ... by velocity and gyroscope bias: a point measured dt before the sweep's end was carried back by both.
@@ -252,15 +279,15 @@ inline void motion_row(double dt, const double* n, const double* rotation, doubl
   }
 }
 
-inline void jacobian_row(const MatchInput& in, uint64_t k, const float* p, const double* n, double* J) {
+// Fills the row and returns what to take off the residual.
+inline double jacobian_row(const MatchInput& in, uint64_t k, const FoundPlane& plane, const double* q, const double* n,
+                           double* J) {
   double m[3];
-  pose_row(in, p, n, m, J);
-  if (in.columns == 6) return;
-  if (in.before_end != nullptr) {
-    motion_row(in.before_end[k], n, J, J + 6);
-  } else {
-    mounting_row(in, p, m, J + 6);
-  }
+  pose_row(in, in.points + 3 * k, n, m, J);
+  if (in.columns == 6) return 0.0;
+  if (in.before_end == nullptr) return mounting_row(in, plane, q, n, J + 6);
+  motion_row(in.before_end[k], n, J, J + 6);
+  return 0.0;
 }
 
 inline void accumulate(const double* J, int columns, double r, double w, double inv_var, NormalSums* sums) {
@@ -302,10 +329,10 @@ inline void planes_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
       fallback = true;
     }
     const double n[3] = {plane.normal[0], plane.normal[1], plane.normal[2]};
-    const double r = n[0] * plane.offset[0] + n[1] * plane.offset[1] + n[2] * plane.offset[2];
+    double r = n[0] * plane.offset[0] + n[1] * plane.offset[1] + n[2] * plane.offset[2];
     const double inv_var = 1.0 / (in.sigma * in.sigma + static_cast<double>(plane.variance));
     double J[12];
-    jacobian_row(in, k, p, n, J);
+    r -= jacobian_row(in, k, plane, q, n, J);
     accumulate(J, in.columns, r, robust_weight(r, in.kernel), inv_var, sums);
     sums->cost += robust_cost(r, in.kernel) * inv_var;
     sums->matches += 1;
@@ -327,7 +354,9 @@ inline void points_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
     for (int i = 0; i < 3; ++i) {
       const double n[3] = {i == 0 ? 1.0 : 0.0, i == 1 ? 1.0 : 0.0, i == 2 ? 1.0 : 0.0};
       double J[12];
-      jacobian_row(in, k, p, n, J);
+      FoundPlane none;
+      none.source = 255;
+      jacobian_row(in, k, none, q, n, J);
       accumulate(J, in.columns, -static_cast<double>(best.offset[0][i]), w, inv_var, sums);
     }
     sums->cost += robust_cost(distance, in.kernel) * inv_var;

@@ -21,6 +21,8 @@ struct MapView {
   const PlaneView* planes;
   IndexView point_index;
   const BucketView* buckets;
+  const uint32_t* born;
+  const double* anchor;  // body pose of the first insertion, row-major 3x4
   double voxel;
   double point_size;
   double max_thickness;
@@ -33,6 +35,7 @@ struct MatchInput {
   const float* before_end;  // null: the second six columns are the mounting's
   const double* T_odom_body;
   const double* T_body_lidar;
+  const double* remount;  // 6 an insertion: how the mounting has changed since
   double gate, kernel, sigma, fallback_range;
   int fallback_stride, columns;
 };

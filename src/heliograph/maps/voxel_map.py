@@ -35,9 +35,18 @@ class VoxelMap:
             c.voxel, c.levels, c.min_points, c.max_points, c.max_thickness, c.min_spread, c.point_spacing
         )
 
-    def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:
-        """Add points (N, 3) of the body frame seen from the pose (4, 4) and return the new share of the cubes touched."""
-        return float(self.native.insert(np.ascontiguousarray(points_body), np.ascontiguousarray(T_odom_body)))
+    def insert(
+        self,
+        points_body: NDArray[np.float32],
+        T_odom_body: NDArray[np.float64],
+        T_body_lidar: NDArray[np.float64] | None = None,
+    ) -> float:
+        """Add points (N, 3) of the body frame seen from the pose (4, 4) and return the new share of the cubes touched.
+
+        ``T_body_lidar`` (4, 4) is the mounting that they were brought into the body frame with; needed where it is estimated.
+        """
+        mounting = np.eye(4) if T_body_lidar is None else np.ascontiguousarray(T_body_lidar)
+        return float(self.native.insert(np.ascontiguousarray(points_body), np.ascontiguousarray(T_odom_body), mounting))
 
     def prune(self, centre_odom: NDArray[np.float64]) -> None:
         """Forget cubes beyond ``config.radius`` of ``centre_odom`` (3,), and the farthest beyond ``config.max_voxels``."""

@@ -86,7 +86,7 @@ class FilterCore:
         points_imu = self._deskew(points, offsets, scan, sweep, posterior)  # (3), now with the final motion
         watch.lap("deskew")
         if fit is not None or len(self.map) == 0:
-            share = self.map.insert(points_imu, posterior.T_odom_imu)
+            share = self._insert(points_imu, posterior)
             self._drift.grow(posterior, share, sigma=self.noise.sigma, matched=fit is not None)  # (9)
             self._prune(posterior)
         watch.lap("map")
@@ -162,6 +162,11 @@ class FilterCore:
                 bent = corrected_path(path, fit.state)
                 fit = updated(lambda _: bent)
         return fit if fit.linearization.matches >= config.min_matches else None
+
+    def _insert(self, points_imu: NDArray[np.float32], state: NavState) -> float:
+        if isinstance(self.map, VoxelMap):
+            return self.map.insert(points_imu, state.T_odom_imu, state.T_imu_lidar)
+        return self.map.insert(points_imu, state.T_odom_imu)
 
     def _prune(self, state: NavState) -> None:
         if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:

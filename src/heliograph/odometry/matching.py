@@ -12,6 +12,7 @@ from heliograph.cloud import voxel_downsample
 from heliograph.config import CloudConfig, FilterConfig
 from heliograph.data import NavState
 from heliograph.maps import LocalMap
+from heliograph.odometry.error_state import NAV_DIM
 from heliograph.odometry.update import UpdateResult, iterated_update
 from heliograph.registration import MatchSettings, NormalEquations, linearize
 
@@ -83,6 +84,7 @@ def register(
     simplest form), so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
     """
     final = config.kernel * noise.sigma
+    mounting = len(prior.covariance) > NAV_DIM
     start = _opening(prior, noise.sigma, config)
 
     def kernel(iteration: int) -> float:
@@ -94,9 +96,9 @@ def register(
             gate=config.gate * scale,
             kernel=scale,
             sigma=noise.sigma,
-            fallback_stride=config.fallback_stride,
+            fallback_stride=0 if mounting else config.fallback_stride,
             residual=config.residual,
-            mounting=len(prior.covariance) > 17,
+            mounting=mounting,
             threads=threads,
         )
         equations = linearize(

@@ -105,7 +105,8 @@ def linearize(
     Jacobians are by right perturbations: ``J_rotation = (p x R^T n)``, ``J_position = n``. For the motion, with the point
     measured ``dt`` before the sweep's end, ``J_velocity = -dt n`` and ``J_gyro_bias = dt J_rotation``: de-skewing has
     carried it forward by both. For the mounting, with ``p_l`` the point in the lidar frame and ``m = R^T n``,
-    ``(p_l x R_il^T m)`` and ``m``; these neglect the motion within the sweep. Each match has the variance ``sigma^2``
+    ``(p_l x R_il^T m)`` and ``m``, less the same at the map's very first pose: an error of the mounting moves the whole map
+    by what it did there, and only the difference shows. These neglect the motion within the sweep. Each match has the variance ``sigma^2``
     plus its plane's own at the query.
 
     Parameters
@@ -129,7 +130,11 @@ def linearize(
         raise ConfigError(f"residual '{settings.residual}' is not one of 'plane', 'point'")
     motion = before_end is not None and not settings.mounting
     if not isinstance(local_map, VoxelMap):
-        return _linearize_any(local_map, points_imu, T_odom_imu, T_imu_lidar, settings, before_end if motion else None)
+        if settings.mounting:
+            raise ConfigError(
+                "the mounting can be estimated with the voxel map only; give the transform with --extrinsic"
+            )
+        return _linearize_any(local_map, points_imu, T_odom_imu, settings, before_end if motion else None)
     scan = (
         local_map.native,
         points_imu,
@@ -164,7 +169,6 @@ def _linearize_any(
     local_map: LocalMap,
     points_imu: NDArray[np.float32],
     T_odom_imu: NDArray[np.float64],
-    T_imu_lidar: NDArray[np.float64],
     settings: MatchSettings,
     before_end: NDArray[np.float32] | None,
 ) -> NormalEquations:
@@ -179,10 +183,7 @@ def _linearize_any(
     r = np.einsum("ij,ij->i", n, p @ R.T + t - found.point[some])
     m = n @ R
     columns = [np.cross(p, m), n]
-    if settings.mounting:
-        R_il = T_imu_lidar[:3, :3]
-        columns += [np.cross((p - T_imu_lidar[:3, 3]) @ R_il, m @ R_il), m]
-    elif before_end is not None:
+    if before_end is not None:
         dt = before_end[some, None].astype(np.float64)
         columns += [-dt * n, dt * columns[0]]
     J = np.hstack(columns)

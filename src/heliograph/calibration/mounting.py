@@ -1,0 +1,249 @@
+"""How the LiDAR sits on the IMU, found from their motion where no source tells.
+
+Both see the same turns: a rotation vector of the imu frame is the mounting's rotation of the lidar frame's (hand-eye
+calibration, R. Tsai, R. Lenz, 1989, for rotations alone). The LiDAR's turns come from its own odometry, the IMU's from
+integrating the gyroscope. The lever arm shows in how the two accelerate while turning; the filter estimates it as a
+state, beginning from zero with a wide uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.config import RunConfig
+from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan
+from heliograph.lie import so3
+from heliograph.odometry import FilterOdometry
+
+__all__ = ["MountingAlignment", "align_mounting", "align_rotations"]
+
+Array = NDArray[np.float64]
+Message = Scan | ImuBatch | GnssFix
+
+_WINDOW = 5  # scans over which turns are compared
+_TURN_SIGMA = 0.004  # of one such comparison: the LiDAR's odometry and the gyroscope's drift together [rad]
+_ENOUGH = 0.005  # the rotation is known well enough when its weakest axis is [rad]
+_LONGEST = 60.0  # of the recording looked at [s]
+# Each pass begins with a better guess, so that its map is bent less by the error still to be found.
+_PASSES = 2
+_THINNING = 3  # of the points one of so many is used
+_LEVER_SIGMA = 0.3  # of a lever arm nobody told [m]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountingAlignment:
+    """What was found.
+
+    Parameters
+    ----------
+    rig : Rig
+        With the sigmas that remain; the filter goes on estimating within them.
+    sigma_rotation : (3,) float64
+        Of the rotation alone about the lidar axes, from turns [rad].
+    duration : float
+        Data used [s].
+    events : tuple of Event
+        One warning with numbers and remedy.
+    """
+
+    rig: Rig
+    sigma_rotation: Array
+    duration: float
+    events: tuple[Event, ...]
+
+
+def align_mounting(
+    open_stream: Callable[[], Iterable[Message]], config: RunConfig, *, threads: int = 1
+) -> MountingAlignment:
+    """Find ``T_imu_lidar`` from the first minute of a recording, or less where turns about two axes come sooner.
+
+    Parameters
+    ----------
+    open_stream : callable
+        Returns the recording's messages from the start, each time it is called; three times here.
+    config : RunConfig
+    threads : int
+
+    Returns
+    -------
+    MountingAlignment
+        Rotation from turns, lever arm from the filter. An axis about which nothing turned keeps its wide sigma.
+    """
+    turns_lidar, turns_imu, spans, until_ns, begin_ns = _turns(open_stream(), config, threads)
+    duration = (until_ns - begin_ns) * 1e-9
+    if len(turns_lidar) < 3:
+        return _unknown(duration, "too few scans could be matched")
+    R, covariance = align_rotations(turns_lidar, turns_imu, spans)
+    sigma = np.sqrt(np.linalg.eigvalsh(covariance))
+    if sigma[0] > 0.5:
+        return _unknown(duration, "the recording hardly turns")
+    T = np.eye(4)
+    T[:3, :3] = R
+    rough = Rig(
+        T_imu_lidar=T,
+        source="aligned from turns",
+        known=False,
+        sigma_rotation=float(np.clip(sigma[-1], 0.01, 0.5)),
+        sigma_translation=_LEVER_SIGMA,
+    )
+    rig = rough
+    for _ in range(_PASSES):
+        guess = replace(rough, T_imu_lidar=rig.T_imu_lidar)
+        rig = _refined(open_stream(), guess, config, threads, begin_ns + int(_LONGEST * 1e9))
+    return MountingAlignment(rig=rig, sigma_rotation=sigma, duration=duration, events=(_found(rig, duration),))
+
+
+def align_rotations(turns_lidar: Array, turns_imu: Array, spans: Array) -> tuple[Array, Array]:
+    """Return the rotation that maps turns of the lidar frame onto those of the imu frame, and its covariance.
+
+    Solves ``min sum |phi_imu - R phi_lidar - b span|^2`` over R and the gyroscope's bias b, alternating the closed form
+    for R (G. Wahba, 1965, by SVD) with the mean for b.
+
+    Parameters
+    ----------
+    turns_lidar, turns_imu : (N, 3) float64
+        Rotation vectors over the same windows, each in its own frame [rad].
+    spans : (N,) float64
+        Length of each window [s].
+
+    Returns
+    -------
+    R_imu_lidar : (3, 3) float64
+    covariance : (3, 3) float64
+        Of its error about the lidar axes [rad^2]; large along an axis about which nothing else was seen to turn.
+    """
+    bias, R = np.zeros(3), np.eye(3)
+    for _ in range(20):
+        free = turns_imu - spans[:, None] * bias
+        U, _, Vt = np.linalg.svd(free.T @ turns_lidar)
+        R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+        bias = ((turns_imu - turns_lidar @ R.T) * spans[:, None]).sum(axis=0) / (spans**2).sum()
+    # d(R phi) = -R [phi] d: each turn tells nothing about the rotation around itself.
+    H = so3.hat(turns_lidar)
+    residual = turns_imu - spans[:, None] * bias - turns_lidar @ R.T
+    spread = max(_TURN_SIGMA, float(np.sqrt(np.mean(residual**2))))
+    # Windows overlap, so only every _WINDOW-th is independent.
+    information = np.einsum("kij,kil->jl", H, H) / (_WINDOW * spread**2)
+    return R, np.linalg.inv(information + np.eye(3) / np.pi**2)
+
+
+def _turns(stream: Iterable[Message], config: RunConfig, threads: int) -> tuple[Array, Array, Array, int, int]:
+    """Run the LiDAR alone and integrate the gyroscope beside it until the turns suffice."""
+    sensor = Rig(T_imu_lidar=np.eye(4), source="the lidar frame itself")
+    odometry = FilterOdometry(_thrifty(config), sensor, sensors=frozenset({"lidar"}), threads=threads)
+    ends: list[int] = []
+    rotations: list[Array] = []
+    imu: list[ImuBatch] = []
+    for message in stream:
+        if isinstance(message, ImuBatch):
+            imu.append(message)
+        for result in odometry.add(_thinned(message)):
+            if result.status in ("tracked", "degenerate", "first"):
+                ends.append(result.end_ns)
+                rotations.append(result.T_odom_imu[:3, :3])
+        if len(ends) > 2 and len(ends) % 20 == 0 and _suffice(ends, rotations):
+            break
+    if len(ends) <= _WINDOW or not imu:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), ends[-1] if ends else 0, ends[0] if ends else 0
+    integrated = _integrated_gyro(imu, np.array(ends))
+    stack = np.stack(rotations)
+    lidar = so3.log(np.swapaxes(stack[:-_WINDOW], -1, -2) @ stack[_WINDOW:])
+    gyro = so3.log(np.swapaxes(integrated[:-_WINDOW], -1, -2) @ integrated[_WINDOW:])
+    spans = (np.array(ends[_WINDOW:]) - np.array(ends[:-_WINDOW])) * 1e-9
+    return lidar, gyro, spans, ends[-1], ends[0]
+
+
+def _suffice(ends: list[int], rotations: list[Array]) -> bool:
+    if (ends[-1] - ends[0]) * 1e-9 > _LONGEST:
+        return True
+    stack = np.stack(rotations)
+    turns = so3.log(np.swapaxes(stack[:-_WINDOW], -1, -2) @ stack[_WINDOW:])
+    H = so3.hat(turns)
+    information = np.einsum("kij,kil->jl", H, H) / (_WINDOW * _TURN_SIGMA**2)
+    return float(np.linalg.eigvalsh(information)[0]) > 1.0 / _ENOUGH**2
+
+
+def _integrated_gyro(batches: list[ImuBatch], at_ns: NDArray[np.int64]) -> Array:
+    """Return the gyroscope's own orientation at the stamps, from an arbitrary first one, (N, 3, 3)."""
+    stamps = np.concatenate([batch.stamps_ns for batch in batches])
+    rates = np.concatenate([batch.gyro for batch in batches])
+    inside = np.unique(np.concatenate([stamps, at_ns]))
+    rate = np.stack([np.interp(inside - stamps[0], stamps - stamps[0], rates[:, i]) for i in range(3)], axis=1)
+    steps = so3.exp(0.5 * (rate[1:] + rate[:-1]) * (np.diff(inside) * 1e-9)[:, None])
+    R = [np.eye(3)]
+    for step in steps:
+        R.append(R[-1] @ step)
+    return np.stack(R)[np.searchsorted(inside, at_ns)]
+
+
+def _refined(stream: Iterable[Message], rough: Rig, config: RunConfig, threads: int, until_ns: int) -> Rig:
+    """Let the filter estimate the whole mounting over the same data."""
+    odometry = FilterOdometry(_thrifty(config), rough, sensors=frozenset({"lidar", "imu"}), threads=threads)
+    for message in _until(stream, until_ns):
+        odometry.add(_thinned(message))
+    odometry.finish()
+    if odometry.core is None:
+        return rough
+    state = odometry.core.state
+    sigma = np.sqrt(np.diag(state.covariance)[17:23])
+    # The floors stand for what the filter does not model: the mount's own sway, time offsets, the map's errors.
+    return replace(
+        rough,
+        T_imu_lidar=state.T_imu_lidar,
+        source="aligned from the data",
+        sigma_rotation=float(max(sigma[:3].max(), 1e-3)),
+        sigma_translation=float(max(sigma[3:].max(), 0.02)),
+    )
+
+
+def _thinned(message: Message) -> Message:
+    """Leave out most points: the mounting shows in the motion, not in the map's detail."""
+    if not isinstance(message, Scan):
+        return message
+    return replace(
+        message,
+        points=np.ascontiguousarray(message.points[::_THINNING]),
+        offsets_ns=np.ascontiguousarray(message.offsets_ns[::_THINNING]),
+        intensity=None,
+        ring=None,
+    )
+
+
+def _thrifty(config: RunConfig) -> RunConfig:
+    return replace(config, cloud=replace(config.cloud, target_points=config.cloud.target_points // 2))
+
+
+def _until(stream: Iterable[Message], until_ns: int) -> Iterator[Message]:
+    for message in stream:
+        if isinstance(message, Scan) and message.end_ns > until_ns:
+            return
+        yield message
+
+
+def _found(rig: Rig, duration: float) -> Event:
+    angle = np.degrees(float(np.linalg.norm(so3.log(rig.T_imu_lidar[:3, :3]))))
+    x, y, z = rig.T_imu_lidar[:3, 3]
+    text = (
+        f"no transform links LiDAR and IMU: it was aligned from {duration:.0f} s of motion - rotation {angle:.1f} deg (+- "
+        f"{np.degrees(rig.sigma_rotation):.2f}), lever arm ({x:.3f}, {y:.3f}, {z:.3f}) m (+- {rig.sigma_translation:.3f}); "
+        f"give the true one with --extrinsic FILE or a /tf_static"
+    )
+    return Event(code="mounting-aligned", message=text)
+
+
+def _unknown(duration: float, why: str) -> MountingAlignment:
+    text = (
+        f"no transform links LiDAR and IMU, and {why} in the first {duration:.0f} s, so it cannot be aligned; LiDAR and IMU "
+        f"are taken to be parallel with wide uncertainty - give the transform with --extrinsic FILE or a /tf_static"
+    )
+    rig = Rig(T_imu_lidar=np.eye(4), source="unknown", known=False, sigma_rotation=0.5, sigma_translation=_LEVER_SIGMA)
+    return MountingAlignment(
+        rig=rig,
+        sigma_rotation=np.full(3, np.pi),
+        duration=duration,
+        events=(Event(code="mounting-unknown", message=text),),
+    )
