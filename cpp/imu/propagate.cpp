@@ -186,8 +186,12 @@ Propagation propagate(const NavState& start, const ImuSamples& samples, int64_t 
     const double dt = 1e-9 * static_cast<double>(to - from);
     const Reading reading = signal.at(middle);
     const bool held = signal.held(middle);
-    const Vector3d rate = reading.gyro - x.gyro_bias;
-    const Vector3d force = reading.accel - x.accel_bias;
+    Vector3d rate = reading.gyro - x.gyro_bias;
+    Vector3d force = reading.accel - x.accel_bias;
+    if (held && signal.distance(middle) > model.hold_ns) {  // coast
+      rate.setZero();
+      force = -x.R_odom_imu.transpose() * x.g_odom;
+    }
     const Matrix3d half_turn = rotation_exp(0.5 * dt * rate);
     const Vector3d acceleration = x.R_odom_imu * half_turn * force + x.g_odom;
 

@@ -104,8 +104,8 @@ class ImuConfig:
     max_step: float = 0.005
     max_gap: float = 0.25
     hold: float = 0.1
-    held_gyro_noise: float = 0.3
-    held_accel_noise: float = 2.0
+    held_gyro_noise: float = 0.1
+    held_accel_noise: float = 1.0
     start_window: float = 1.0
     still_duration: float = 0.5
     still_gyro_sigma: float = 0.03

@@ -83,5 +83,12 @@ def test_documents_name_every_file_of_a_run(short_run):
         assert f"`{file.name}`" in text, file.name
 
 
+def test_documents_explain_every_warning():
+    text = (ROOT / "docs" / "howto" / "bad_data.md").read_text()
+    for file in (ROOT / "src").rglob("*.py"):
+        for code in re.findall(r'code="([a-z-]+)"', file.read_text()):
+            assert f"`{code}`" in text, f"{code} of {file.name}"
+
+
 def test_readme_is_short():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 180
