@@ -191,8 +191,8 @@ def test_gap_of_two_seconds_in_both_sensors_is_survived_and_costs_certainty(walk
     prior_sigma = np.sqrt(np.trace(results[after - 1].covariance[6:9, 6:9]))
     assert np.sqrt(np.trace(results[after].covariance[6:9, 6:9])) > prior_sigma
     assert ate(simulation, results[:after]) < 0.02
-    # The walk's course within the gap is nowhere recorded; the map holds the pose wherever it overlaps.
-    assert gap(simulation, results) < 0.3
+    # What happened within the gap is nowhere recorded, but the map still holds what is seen after it.
+    assert gap(simulation, results) < 0.04
     assert any(event.code == "imu-held" for r in results for event in r.events)
 
 
