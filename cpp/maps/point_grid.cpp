@@ -1,29 +1,41 @@
 // SPDX-License-Identifier: MIT
 #include "maps/point_grid.hpp"
 
-#include <cmath>
+#include <algorithm>
 
 namespace heliograph {
 
-void PointGrid::insert(const double* p) {
-  const Cube cube{floor_index(p[0] / size_), floor_index(p[1] / size_),
-                  floor_index(p[2] / size_)};
-  const uint64_t key = pack(kPointLevel, cube);
-  const auto [id, is_new] = index_.insert(key, static_cast<uint32_t>(buckets_.size()));
-  if (is_new) buckets_.push_back({key, 0, {}});
-  PointBucket& bucket = buckets_[id];
-  if (bucket.count == kBucketSize) return;
-  const float x = static_cast<float>(p[0] - (static_cast<double>(cube.x) + 0.5) * size_);
-  const float y = static_cast<float>(p[1] - (static_cast<double>(cube.y) + 0.5) * size_);
-  const float z = static_cast<float>(p[2] - (static_cast<double>(cube.z) + 0.5) * size_);
+PointGrid::Place PointGrid::place(const double* p) const {
+  const Cube cube{floor_index(p[0] / size_), floor_index(p[1] / size_), floor_index(p[2] / size_)};
+  return {pack(kPointLevel, cube),
+          {static_cast<float>(p[0] - (static_cast<double>(cube.x) + 0.5) * size_),
+           static_cast<float>(p[1] - (static_cast<double>(cube.y) + 0.5) * size_),
+           static_cast<float>(p[2] - (static_cast<double>(cube.z) + 0.5) * size_)}};
+}
+
+bool PointGrid::has_room(const PointBucket& bucket, const float* xyz) const {
+  if (bucket.count == kBucketSize) return false;
   for (uint32_t k = 0; k < bucket.count; ++k) {
-    const float dx = bucket.xyz[3 * k] - x, dy = bucket.xyz[3 * k + 1] - y, dz = bucket.xyz[3 * k + 2] - z;
-    if (dx * dx + dy * dy + dz * dz < spacing2_) return;
+    const float* other = bucket.xyz + 3 * k;
+    const float dx = other[0] - xyz[0], dy = other[1] - xyz[1], dz = other[2] - xyz[2];
+    if (dx * dx + dy * dy + dz * dz < spacing2_) return false;
   }
-  float* slot = bucket.xyz + 3 * bucket.count++;
-  slot[0] = x;
-  slot[1] = y;
-  slot[2] = z;
+  return true;
+}
+
+bool PointGrid::accepts(const double* p) const {
+  const Place at = place(p);
+  const uint32_t* id = index_.find(at.key);
+  return id == nullptr || has_room(buckets_[*id], at.xyz);
+}
+
+void PointGrid::insert(const double* p) {
+  const Place at = place(p);
+  const auto [id, is_new] = index_.insert(at.key, static_cast<uint32_t>(buckets_.size()));
+  if (is_new) buckets_.push_back({at.key, 0, {}});
+  PointBucket& bucket = buckets_[id];
+  if (!has_room(bucket, at.xyz)) return;
+  std::copy(at.xyz, at.xyz + 3, bucket.xyz + 3 * bucket.count++);
 }
 
 void PointGrid::prune(const double* centre, double radius) {

@@ -21,7 +21,10 @@ class PointGrid {
  public:
   PointGrid(double size, double spacing) : size_(size), spacing2_(static_cast<float>(spacing * spacing)) {}
 
-  // Adds a point (odom frame) unless its cube is full or holds a point nearer than the spacing.
+  // Whether the cube of a point (odom frame) is neither full nor holds a point nearer than the spacing.
+  bool accepts(const double* p) const;
+
+  // Adds a point if it is accepted.
   void insert(const double* p);
 
   // Keeps the cubes whose centre lies within `radius` of `centre`.
@@ -33,6 +36,13 @@ class PointGrid {
   size_t bytes() const { return index_.bytes() + buckets_.capacity() * sizeof(PointBucket); }
 
  private:
+  struct Place {
+    uint64_t key;
+    float xyz[3];  // relative to the cube's centre
+  };
+  Place place(const double* p) const;
+  bool has_room(const PointBucket& bucket, const float* xyz) const;
+
   double size_;
   float spacing2_;
   FlatIndex index_;

@@ -14,7 +14,7 @@ struct VoxelMapSettings {
   double voxel;           // edge of the finest cube [m]; each level doubles it
   int levels;             // 1 to 8
   int min_points;         // a plane needs as many
-  int max_points;         // a cube is frozen from there on
+  int max_points;         // a cube that holds as many after an insertion is frozen
   double max_thickness;   // largest standard deviation across a plane [m]
   double min_spread;      // smallest standard deviation along it, as a share of the cube's edge
   double point_spacing;   // of the raw points kept for the nearest-neighbour fallback [m]
@@ -34,6 +34,7 @@ struct Moments {
   float fitted;        // count at the last fit
   float sum[3];        // relative to the cube's centre
   float outer[6];      // xx xy xz yy yz zz
+  bool frozen;         // full at the end of an insertion: takes no more
 };
 
 class VoxelMap {
