@@ -39,7 +39,7 @@ NavState rest() {
   return x;
 }
 
-const ImuModel kModel{1e-6, 1e-4, 1e-10, 1e-8, 0.1, 4.0, 0.3, 0.005, 250'000'000};
+const ImuModel kModel{1e-6, 1e-4, 1e-10, 1e-8, 0.1, 4.0, 0.3, 0.005, 250'000'000, 1'000'000'000};
 
 void check_rest_stays() {
   const Samples s = constant(11, 10'000'000, {0, 0, 0}, {0, 0, 9.8});
