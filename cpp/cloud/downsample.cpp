@@ -13,12 +13,16 @@ std::vector<int32_t> voxel_downsample(std::span<const float> points, float leaf)
   FlatIndex seen(14);
   std::vector<int32_t> kept;
   kept.reserve(count / 4);
+  uint64_t last = kNoKey;
   for (size_t k = 0; k < count; ++k) {
     const float* p = points.data() + 3 * k;
     if (!std::isfinite(p[0] + p[1] + p[2])) continue;
     const Cube cube{floor_index(p[0] * inverse), floor_index(p[1] * inverse),
                     floor_index(p[2] * inverse)};
-    if (seen.insert(pack(0, cube), 0).second) kept.push_back(static_cast<int32_t>(k));
+    const uint64_t key = pack(0, cube);
+    if (key == last) continue;  // neighbouring points come one after the other
+    last = key;
+    if (seen.insert(key, 0).second) kept.push_back(static_cast<int32_t>(k));
   }
   return kept;
 }

@@ -3,20 +3,16 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <stdexcept>
 
 namespace heliograph {
 
-// What one scan adds to one finest cube. Gathering first means that the large tables are touched once a cube, not once a
-// point and level.
-struct VoxelMap::Delta {
-  Cube cube;
-  float count = 0.0F;
-  float sum[3] = {0.0F, 0.0F, 0.0F};
-  float outer[6] = {0.0F, 0.0F, 0.0F, 0.0F, 0.0F, 0.0F};
-  double first[3] = {0.0, 0.0, 0.0};
-};
+namespace {
+constexpr size_t kBatch = 16;
+constexpr uint32_t kFull = ~uint32_t{0};
+}  // namespace
 
 VoxelMap::VoxelMap(const VoxelMapSettings& settings)
     : settings_(settings), points_(settings.levels > 1 ? 2.0 * settings.voxel : settings.voxel, settings.point_spacing) {
@@ -24,55 +20,73 @@ VoxelMap::VoxelMap(const VoxelMapSettings& settings)
     throw std::invalid_argument("a voxel map needs a positive voxel and 1 to 8 levels");
 }
 
-std::vector<VoxelMap::Delta> VoxelMap::gather(std::span<const float> points_body, const double* T) {
+void VoxelMap::gather(std::span<const float> points_body, const double* T) {
   const double inverse = 1.0 / settings_.voxel;
-  FlatIndex seen(15);
-  std::vector<Delta> deltas;
-  deltas.reserve(points_body.size() / 24);
-  for (size_t k = 0; k + 2 < points_body.size(); k += 3) {
-    const double x = points_body[k], y = points_body[k + 1], z = points_body[k + 2];
-    if (!std::isfinite(x + y + z)) continue;
-    const double q[3] = {T[0] * x + T[1] * y + T[2] * z + T[3], T[4] * x + T[5] * y + T[6] * z + T[7],
-                         T[8] * x + T[9] * y + T[10] * z + T[11]};
-    const Cube cube{floor_index(q[0] * inverse), floor_index(q[1] * inverse),
-                    floor_index(q[2] * inverse)};
-    const auto [id, is_new] = seen.insert(pack(0, cube), static_cast<uint32_t>(deltas.size()));
-    if (is_new) {
-      deltas.emplace_back();
-      deltas.back().cube = cube;
-      std::copy(q, q + 3, deltas.back().first);
+  const size_t count = points_body.size() / 3;
+  seen_.clear();
+  deltas_.clear();
+  std::array<Spot, kBatch> spots;
+  for (size_t begin = 0; begin < count; begin += kBatch) {
+    const size_t batch = std::min(kBatch, count - begin);
+    for (size_t k = 0; k < batch; ++k) {
+      const float* p = points_body.data() + 3 * (begin + k);
+      const double x = p[0], y = p[1], z = p[2];
+      Spot& spot = spots[k];
+      spot.key = kNoKey;
+      if (!std::isfinite(x + y + z)) continue;
+      for (int i = 0; i < 3; ++i) spot.q[i] = T[4 * i] * x + T[4 * i + 1] * y + T[4 * i + 2] * z + T[4 * i + 3];
+      spot.cube = {floor_index(spot.q[0] * inverse), floor_index(spot.q[1] * inverse), floor_index(spot.q[2] * inverse)};
+      spot.key = pack(0, spot.cube);
+      seen_.prefetch(spot.key);
     }
-    Delta& d = deltas[id];
-    const float u = static_cast<float>(q[0] - (static_cast<double>(cube.x) + 0.5) * settings_.voxel);
-    const float v = static_cast<float>(q[1] - (static_cast<double>(cube.y) + 0.5) * settings_.voxel);
-    const float w = static_cast<float>(q[2] - (static_cast<double>(cube.z) + 0.5) * settings_.voxel);
-    d.count += 1.0F;
-    d.sum[0] += u;
-    d.sum[1] += v;
-    d.sum[2] += w;
-    d.outer[0] += u * u;
-    d.outer[1] += u * v;
-    d.outer[2] += u * w;
-    d.outer[3] += v * v;
-    d.outer[4] += v * w;
-    d.outer[5] += w * w;
+    for (size_t k = 0; k < batch; ++k)
+      if (spots[k].key != kNoKey) collect(spots[k]);
   }
-  return deltas;
 }
 
-// Returns whether the cube is new.
-bool VoxelMap::add(const Delta& delta, uint64_t level) {
-  const Cube cube{delta.cube.x >> level, delta.cube.y >> level, delta.cube.z >> level};
-  const uint64_t key = pack(level, cube);
-  const auto [id, is_new] = index_.insert(key, static_cast<uint32_t>(planes_.size()));
+void VoxelMap::collect(const Spot& spot) {
+  const auto [id, is_new] = seen_.insert(spot.key, static_cast<uint32_t>(deltas_.size()));
+  if (is_new) {
+    deltas_.emplace_back();
+    deltas_.back().cube = spot.cube;
+    std::copy(spot.q, spot.q + 3, deltas_.back().first);
+  }
+  Delta& d = deltas_[id];
+  const double voxel = settings_.voxel;
+  const float u = static_cast<float>(spot.q[0] - (static_cast<double>(spot.cube.x) + 0.5) * voxel);
+  const float v = static_cast<float>(spot.q[1] - (static_cast<double>(spot.cube.y) + 0.5) * voxel);
+  const float w = static_cast<float>(spot.q[2] - (static_cast<double>(spot.cube.z) + 0.5) * voxel);
+  d.count += 1.0F;
+  d.sum[0] += u;
+  d.sum[1] += v;
+  d.sum[2] += w;
+  d.outer[0] += u * u;
+  d.outer[1] += u * v;
+  d.outer[2] += u * w;
+  d.outer[3] += v * v;
+  d.outer[4] += v * w;
+  d.outer[5] += w * w;
+}
+
+// The cube of a key, made if it is new, and counted in `created` then; kFull where nothing more goes in.
+uint32_t VoxelMap::locate(uint64_t key, size_t* created) {
+  const auto [slot, is_new] = index_.place(key, static_cast<uint32_t>(planes_.size()));
+  if (slot->full != 0) return kFull;
   if (is_new) {
     planes_.push_back({{0, 0, 0}, {0, 0, 0}, -1.0F, 0.0F});
-    moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}});
+    moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0});
     born_.push_back(static_cast<uint32_t>(mountings_.size() / 12 - 1));
+    ++*created;
   }
+  return slot->value;
+}
+
+void VoxelMap::add(const Delta& delta, uint64_t key, uint32_t id) {
   Moments& m = moments_[id];
-  if (m.count >= static_cast<float>(settings_.max_points)) return false;
-  const double fine = settings_.voxel, coarse = edge(level);
+  const auto most = static_cast<float>(settings_.max_points);
+  if (m.count >= most) return;  // another delta of this batch filled it
+  const double fine = settings_.voxel, coarse = edge(key_level(key));
+  const Cube cube = unpack(key);
   const float d[3] = {
       static_cast<float>((static_cast<double>(delta.cube.x) + 0.5) * fine - (static_cast<double>(cube.x) + 0.5) * coarse),
       static_cast<float>((static_cast<double>(delta.cube.y) + 0.5) * fine - (static_cast<double>(cube.y) + 0.5) * coarse),
@@ -84,8 +98,35 @@ bool VoxelMap::add(const Delta& delta, uint64_t level) {
   int k = 0;
   for (int i = 0; i < 3; ++i)
     for (int j = i; j < 3; ++j, ++k) m.outer[k] += delta.outer[k] + s[i] * d[j] + d[i] * s[j] + n * d[i] * d[j];
-  touched_.push_back(id);
-  return is_new;
+  if (m.count >= most) index_.place(key, id).first->full = 1;
+  const auto insertion = static_cast<uint32_t>(mountings_.size() / 12);
+  if (m.touched != insertion) touched_.push_back(id);
+  m.touched = insertion;
+}
+
+// Adds a few deltas on all levels and returns how many of the coarsest cubes were new. The tables are larger than any
+// cache: asking for all the memory first and using it later lets the waits overlap.
+size_t VoxelMap::add_batch(std::span<const Delta> deltas) {
+  std::array<uint64_t, 8 * kBatch> keys;
+  std::array<uint32_t, 8 * kBatch> ids;
+  const auto levels = static_cast<uint64_t>(settings_.levels);
+  size_t count = 0, created = 0, finer = 0;
+  for (const Delta& delta : deltas) {
+    for (uint64_t level = 0; level < levels; ++level) {
+      keys[count] = pack(level, {delta.cube.x >> level, delta.cube.y >> level, delta.cube.z >> level});
+      index_.prefetch(keys[count++]);
+    }
+  }
+  for (size_t k = 0; k < count; ++k) {
+    ids[k] = locate(keys[k], (k + 1) % levels == 0 ? &created : &finer);
+    if (ids[k] != kFull) __builtin_prefetch(moments_.data() + ids[k], 1);
+  }
+  for (size_t k = 0; k < count; ++k)
+    if (ids[k] != kFull) add(deltas[k / levels], keys[k], ids[k]);
+  std::array<const double*, kBatch> firsts;
+  for (size_t k = 0; k < deltas.size(); ++k) firsts[k] = deltas[k].first;
+  points_.insert(std::span(firsts).first(deltas.size()));
+  return created;
 }
 
 void VoxelMap::refit(uint32_t id) {
@@ -120,22 +161,29 @@ void VoxelMap::refit(uint32_t id) {
 }
 
 double VoxelMap::insert(std::span<const float> points_body, const double* T_odom_body, const double* T_body_lidar) {
-  const std::vector<Delta> deltas = gather(points_body, T_odom_body);
+  gather(points_body, T_odom_body);
   touched_.clear();
   if (anchor_.empty()) anchor_.assign(T_odom_body, T_odom_body + 12);
   mountings_.insert(mountings_.end(), T_body_lidar, T_body_lidar + 12);
-  FlatIndex coarse(12);
   size_t created = 0;
-  const auto top = static_cast<uint64_t>(settings_.levels - 1);
-  for (const Delta& delta : deltas) {
-    for (uint64_t level = 0; level < top; ++level) add(delta, level);
-    created += add(delta, top) ? 1 : 0;
-    coarse.insert(pack(top, {delta.cube.x >> top, delta.cube.y >> top, delta.cube.z >> top}), 0);
-    points_.insert(delta.first);
-  }
-  // A cube that several deltas reached is listed as often; its second refit finds nothing new to do.
+  for (size_t begin = 0; begin < deltas_.size(); begin += kBatch)
+    created += add_batch(std::span<const Delta>(deltas_).subspan(begin, std::min(kBatch, deltas_.size() - begin)));
   for (const uint32_t id : touched_) refit(id);
-  return coarse.size() == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(coarse.size());
+  const size_t surroundings = coarse_cubes();
+  return surroundings == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(surroundings);
+}
+
+// How many of the coarsest cubes the deltas reach.
+size_t VoxelMap::coarse_cubes() {
+  const auto top = static_cast<uint64_t>(settings_.levels - 1);
+  seen_.clear();
+  uint64_t last = kNoKey;  // neighbouring points come one after the other
+  for (const Delta& delta : deltas_) {
+    const uint64_t key = pack(top, {delta.cube.x >> top, delta.cube.y >> top, delta.cube.z >> top});
+    if (key != last) seen_.insert(key, 0);
+    last = key;
+  }
+  return seen_.size();
 }
 
 void VoxelMap::prune(const double* centre, double radius, size_t max_voxels) {
@@ -162,7 +210,8 @@ void VoxelMap::prune(const double* centre, double radius, size_t max_voxels) {
     planes_[kept] = planes_[id];
     moments_[kept] = moments_[id];
     born_[kept] = born_[id];
-    index.insert(moments_[kept].key, static_cast<uint32_t>(kept));
+    const bool full = moments_[kept].count >= static_cast<float>(settings_.max_points);
+    index.place(moments_[kept].key, static_cast<uint32_t>(kept)).first->full = full ? 1 : 0;
     ++kept;
   }
   planes_.resize(kept);
