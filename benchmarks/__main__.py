@@ -1,4 +1,4 @@
-"""Run the benchmarks: `python -m benchmarks kitti --data ../shared/data/kitti_0005`."""
+"""Heliograph beside its peers. Results go to benchmarks/results/, the table to benchmarks/BENCHMARKS.md."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import kitti
+from benchmarks import kitti, speed, table
 from benchmarks.rivals import ADAPTERS
 
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
+_NEEDS_DATA = ("kitti", "sharpness")
+_TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
 
 def _write(name: str, rows: list[dict[str, Any]]) -> None:
@@ -22,21 +24,43 @@ def _write(name: str, rows: list[dict[str, Any]]) -> None:
         print(json.dumps(row))
 
 
-def main() -> None:
-    """Parse the command line and run one benchmark."""
+def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("benchmark", choices=["kitti", "sharpness"])
-    parser.add_argument("--data", type=Path, default=_ROOT.parent / "shared" / "data" / "kitti_0005")
-    parser.add_argument("--work", type=Path, default=_ROOT / "build" / "bench")
-    parser.add_argument("--rival-bin", type=Path, default=_ROOT / "build" / "bench-venv" / "bin")
-    parser.add_argument("--systems", nargs="+", choices=list(ADAPTERS), default=list(ADAPTERS))
-    arguments = parser.parse_args()
-    bins = dict.fromkeys(ADAPTERS, arguments.rival_bin) | {"heliograph": Path(sys.executable).parent}
-    chosen = [ADAPTERS[name] for name in arguments.systems]
-    if arguments.benchmark == "kitti":
+    parser.add_argument("benchmark", choices=["kitti", "sharpness", "speed", "table", "all"])
+    parser.add_argument("--data", type=Path, default=_ROOT.parent / "shared" / "data" / "kitti_0005", help="KITTI 0005")
+    parser.add_argument("--simulated", type=Path, help="simulated recording for `speed`; made if not given")
+    parser.add_argument("--work", type=Path, default=_ROOT / "build" / "bench", help="scratch folder")
+    parser.add_argument(
+        "--rival-bin", type=Path, default=_ROOT / "build" / "bench-venv" / "bin", help="rivals' programs"
+    )
+    parser.add_argument("--systems", nargs="+", choices=list(ADAPTERS), help=f"default: all; speed: {_TIMED}")
+    parser.add_argument("--runs", type=int, default=5, help="runs a system in `speed`")
+    parser.add_argument("--seconds", type=float, default=45.0, help="length of the simulated recording")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Run what the command line asks for and write the table."""
+    arguments = _parse()
+    ours = Path(sys.executable).parent
+    bins = dict.fromkeys(ADAPTERS, arguments.rival_bin) | {"heliograph": ours}
+    chosen = [ADAPTERS[name] for name in arguments.systems or ADAPTERS]
+    timed = [ADAPTERS[name] for name in arguments.systems or _TIMED]
+    wanted = ("kitti", "sharpness", "speed") if arguments.benchmark == "all" else (arguments.benchmark,)
+    if not arguments.data.exists():
+        print(f"{arguments.data} is not there: {', '.join(_NEEDS_DATA)} are left out", file=sys.stderr)
+        wanted = tuple(name for name in wanted if name not in _NEEDS_DATA)
+    if "kitti" in wanted:
         _write("kitti", kitti.compare(arguments.data, chosen, arguments.work, bins))
-    else:
+    if "sharpness" in wanted:
         _write("sharpness", kitti.sharpness(arguments.data, ADAPTERS["heliograph"], arguments.work, bins))
+    if "speed" in wanted:
+        folder = arguments.simulated or speed.simulated(
+            arguments.work / f"warehouse_{arguments.seconds:g}", ours / "heliograph", seconds=arguments.seconds, seed=1
+        )
+        _write("speed", speed.alternate(folder, timed, arguments.work, bins, runs=arguments.runs))
+    table.write_table(_RESULTS, _ROOT / "benchmarks" / "BENCHMARKS.md")
+    table.write_readme(_RESULTS, _ROOT / "README.md")
 
 
 if __name__ == "__main__":

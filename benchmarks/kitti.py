@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.accuracy import accuracy, evo_ate, in_imu_frame
-from benchmarks.process import measure
+from benchmarks.process import measure, version_of
 from benchmarks.rivals import Adapter, Job
 from heliograph.io import open_recording
 from heliograph.io.clouds import read_cloud
@@ -49,6 +49,7 @@ def compare(data: Path, adapters: Iterable[Adapter], work: Path, bins: dict[str,
             {
                 "benchmark": "kitti_0005",
                 "system": adapter.name,
+                "version": version_of(adapter.package, bins[adapter.name]),
                 "sensors": adapter.sensors,
                 "body": adapter.body,
                 **dataclasses.asdict(errors),

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Cost", "measure"]
+__all__ = ["Cost", "measure", "version_of"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,3 +42,10 @@ def measure(command: Sequence[str], *, log: Path, environment: dict[str, str], c
         tail = "\n".join(log.read_text(errors="replace").splitlines()[-15:])
         raise SystemExit(f"{' '.join(command)}\nended with {child.returncode}:\n{tail}")
     return Cost(wall_s=wall, cpu_s=usage.ru_utime + usage.ru_stime, peak_mb=usage.ru_maxrss / 1024.0)
+
+
+def version_of(package: str, bin_folder: Path) -> str:
+    """Return the version of a distribution in the environment that the programs come from."""
+    ask = f"import importlib.metadata; print(importlib.metadata.version({package!r}))"
+    done = subprocess.run([bin_folder / "python", "-c", ask], capture_output=True, text=True, check=True)
+    return done.stdout.strip()

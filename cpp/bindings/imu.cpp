@@ -13,14 +13,15 @@ Tuple propagate_state(const Stamps& stamps, const Vectors& gyro, const Vectors& 
                           const Matrix3& R, const Vectors& vectors, const Basis& g_basis, const Doubles& model) {
   if (stamps.size() == 0 || gyro.shape(0) != stamps.size() || accel.shape(0) != stamps.size())
     throw std::invalid_argument("one rate and one specific force a stamp are needed, and at least one");
-  if (vectors.shape(0) != 5 || model.size() != 9) throw std::invalid_argument("state or model has the wrong length");
+  if (vectors.shape(0) != 5 || model.size() != 10) throw std::invalid_argument("state or model has the wrong length");
   if (t1_ns < t0_ns) throw std::invalid_argument("the interval runs backwards");
   const double* v = vectors.data();
   const NavState start{Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(R.data()),
                        Eigen::Vector3d(v), Eigen::Vector3d(v + 3), Eigen::Vector3d(v + 6), Eigen::Vector3d(v + 9),
                        Eigen::Vector3d(v + 12), Eigen::Map<const Eigen::Matrix<double, 3, 2, Eigen::RowMajor>>(g_basis.data())};
   const double* k = model.data();
-  const ImuModel noise{k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], static_cast<int64_t>(k[8])};
+  const ImuModel noise{k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], static_cast<int64_t>(k[8]),
+                       static_cast<int64_t>(k[9])};
   Propagation out;
   {
     nb::gil_scoped_release release;

@@ -67,10 +67,20 @@ class Signal {
     const size_t j = after(t);
     if (j == 0) return sample(0);
     if (j == n) return sample(n - 1);
-    const double s = static_cast<double>(t - samples_.stamps_ns[j - 1]) /
-                     static_cast<double>(samples_.stamps_ns[j] - samples_.stamps_ns[j - 1]);
+    const int64_t before = t - samples_.stamps_ns[j - 1], until = samples_.stamps_ns[j] - t;
+    if (before + until > max_gap_ns_) return sample(before <= until ? j - 1 : j);
+    const double s = static_cast<double>(before) / static_cast<double>(before + until);
     const Reading a = sample(j - 1), b = sample(j);
     return {a.gyro + s * (b.gyro - a.gyro), a.accel + s * (b.accel - a.accel)};
+  }
+
+  // Distance to the nearest sample [ns].
+  int64_t distance(int64_t t) const {
+    const auto& s = samples_.stamps_ns;
+    const size_t j = after(t);
+    const int64_t before = j == 0 ? INT64_MAX : t - s[j - 1];
+    const int64_t until = j == s.size() ? INT64_MAX : s[j] - t;
+    return std::min(before, until);
   }
 
   // Whether the signal around t is held or bridged, and how much it changes from one sample to the next there.
@@ -176,8 +186,12 @@ Propagation propagate(const NavState& start, const ImuSamples& samples, int64_t 
     const double dt = 1e-9 * static_cast<double>(to - from);
     const Reading reading = signal.at(middle);
     const bool held = signal.held(middle);
-    const Vector3d rate = reading.gyro - x.gyro_bias;
-    const Vector3d force = reading.accel - x.accel_bias;
+    Vector3d rate = reading.gyro - x.gyro_bias;
+    Vector3d force = reading.accel - x.accel_bias;
+    if (held && signal.distance(middle) > model.hold_ns) {  // coast
+      rate.setZero();
+      force = -x.R_odom_imu.transpose() * x.g_odom;
+    }
     const Matrix3d half_turn = rotation_exp(0.5 * dt * rate);
     const Vector3d acceleration = x.R_odom_imu * half_turn * force + x.g_odom;
 

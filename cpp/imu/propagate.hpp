@@ -38,6 +38,7 @@ struct ImuModel {
   double curvature;     // share of the change between two samples that linear interpolation is taken to miss
   double max_step;      // [s]
   int64_t max_gap_ns;   // a longer distance between samples counts as held
+  int64_t hold_ns;      // farther than this from any sample nothing is held: the body coasts
 };
 
 struct Propagation {
@@ -50,7 +51,8 @@ struct Propagation {
   double held_s = 0.0;                 // time without samples
 };
 
-// Integrates from t0 to t1 with the midpoint rule on linearly interpolated samples; nearest samples are held outside them.
+// Integrates from t0 to t1 with the midpoint rule on linearly interpolated samples. Outside them, and in gaps, the nearest
+// sample is held for a short while; then the body coasts, without rotation or acceleration, which is the better guess.
 Propagation propagate(const NavState& start, const ImuSamples& samples, int64_t t0_ns, int64_t t1_ns, const ImuModel& model);
 
 }  // namespace heliograph

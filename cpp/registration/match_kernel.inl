@@ -46,8 +46,15 @@ inline bool find(const IndexView& index, uint64_t key, uint32_t* value) {
   }
 }
 
+// False for NaN, and where a cube's index would not fit.
+inline bool within_world(const double* q) {
+  constexpr double kEnd = 1e12;
+  return std::abs(q[0]) < kEnd && std::abs(q[1]) < kEnd && std::abs(q[2]) < kEnd;
+}
+
 // The finest plane whose cube holds q and whose distance passes the gate.
 inline bool find_plane(const MapView& map, const double* q, float gate, FoundPlane* out) {
+  if (!within_world(q)) return false;
   const double inverse = 1.0 / map.voxel;
   const auto x = kernel_floor(q[0] * inverse);
   const auto y = kernel_floor(q[1] * inverse);
@@ -109,6 +116,7 @@ inline float axis_gap(float inside, float size, int step) {
 inline void find_nearest(const MapView& map, const double* q, float range, Nearest* best) {
   constexpr int kOrder[3] = {0, -1, 1};
   best->count = 0;
+  if (!within_world(q)) return;
   const double size = map.point_size;
   const auto edge = static_cast<float>(size);
   int64_t c[3];

@@ -50,7 +50,8 @@ class VoxelMap:
         self,
         points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
         T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
-    ) -> None: ...
+        T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    ) -> float: ...
     def prune(
         self,
         centre: Annotated[NDArray[numpy.float64], dict(shape=(3), order="C", device="cpu", writable=False)],

@@ -75,6 +75,8 @@ class ImuConfig:
         Longest integration step [s].
     max_gap : float
         A longer distance between samples counts as a gap [s].
+    hold : float
+        How long the nearest sample is held outside the samples and in gaps; then the body is taken to coast [s].
     held_gyro_noise, held_accel_noise : float
         White noise added while samples are held or bridged [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
     start_window : float
@@ -101,8 +103,9 @@ class ImuConfig:
     curvature: float = 0.3
     max_step: float = 0.005
     max_gap: float = 0.25
-    held_gyro_noise: float = 0.3
-    held_accel_noise: float = 2.0
+    hold: float = 0.1
+    held_gyro_noise: float = 0.1
+    held_accel_noise: float = 1.0
     start_window: float = 1.0
     still_duration: float = 0.5
     still_gyro_sigma: float = 0.03
@@ -181,7 +184,7 @@ class FilterConfig:
     Parameters
     ----------
     max_iterations : int
-        Of one update.
+        Of one update, once its kernel has narrowed.
     tolerance_rotation, tolerance_position : float
         An update has converged when a step is smaller [rad], [m].
     residual : str

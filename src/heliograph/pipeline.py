@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from heliograph.calibration import align_mounting
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult
 from heliograph.errors import ConfigError, DataError
@@ -73,7 +74,8 @@ def run(
     """
     clock, tally = Clock(opening_seconds), Tally()
     sensors, threads = sensors_in_use(recording, config), thread_count(config)
-    odometry = odometry or make_odometry(config, recording.rig, sensors, threads)
+    rig, found = mounted(recording, config, sensors, threads, clock, stop)  # 0. align the sensors where nothing tells
+    odometry = odometry or make_odometry(config, rig, sensors, threads)
     interrupted, failure = False, None
     try:
         with closing(messages(recording, sensors, threads)) as stream:
@@ -91,7 +93,7 @@ def run(
         interrupted = True  # what is there stays, and is valid
     except Exception as error:
         failure = error
-    tally.add_events((*recording.events, *odometry.events))
+    tally.add_events((*unsolved(recording.events, found), *odometry.events))
     summary = conclude(tally, sensors, odometry, clock, interrupted=interrupted, failure=failure)  # 5. how good is it
     failure = close(sinks, summary) or failure  # 6. every sink ends with what it has
     if failure is None and not tally.scans and not interrupted:
@@ -99,6 +101,35 @@ def run(
     if failure is not None:
         raise failure
     return summary
+
+
+def mounted(
+    recording: Source,
+    config: RunConfig,
+    sensors: frozenset[str],
+    threads: int,
+    clock: Clock,
+    stop: Callable[[], bool],
+) -> tuple[Rig, tuple[Event, ...]]:
+    """Return the recording's rig, or the one found from the motion where no source gave it, and what to say about it."""
+    if recording.rig.known or sensors != {"lidar", "imu"}:
+        return recording.rig, ()
+
+    def from_the_start() -> Iterator[Message]:
+        with closing(messages(recording, sensors, threads)) as stream:
+            for message in stream:
+                if stop():
+                    return
+                yield message
+
+    with clock("mounting"):
+        alignment = align_mounting(from_the_start, config, threads=threads)
+    return alignment.rig, alignment.events
+
+
+def unsolved(events: Sequence[Event], found: Sequence[Event]) -> list[Event]:
+    """Return the recording's events and the alignment's, without the question that the latter has answered."""
+    return [event for event in events if not found or event.code != "unknown-mount"] + list(found)
 
 
 def sensors_in_use(recording: Source, config: RunConfig) -> frozenset[str]:

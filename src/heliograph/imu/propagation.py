@@ -49,7 +49,8 @@ def propagate(
     Samples are interpolated linearly and integrated with the midpoint rule in steps of at most ``config.max_step``. The
     error made by interpolating is unknown but bounded by how much the signal changes from one sample to the next: a
     share ``config.curvature`` of that change is added to the white noise, so that a slow IMU is trusted less. Outside
-    the samples, and across gaps, the nearest or interpolated values stand in with the noise of ``held_*``.
+    the samples, and in gaps, the nearest one is held for ``config.hold``; farther away the body coasts without turning.
+    Both with the noise of ``held_*``.
 
     Parameters
     ----------
@@ -87,6 +88,7 @@ def propagate(
             config.curvature,
             config.max_step,
             1e9 * config.max_gap,
+            1e9 * config.hold,
         ]
     )
     stamps, R, p, v, transition, added, held_s = _core.propagate(

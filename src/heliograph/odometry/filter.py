@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from heliograph.lie import so3
 from heliograph.maps import LocalMap, VoxelMap
 from heliograph.odometry.drift import MapDrift
 from heliograph.odometry.matching import AdaptiveNoise, Thinning, register
-from heliograph.odometry.motion import MotionModel, corrected_path
+from heliograph.odometry.motion import MotionModel, corrected_path, sweep_path
 from heliograph.odometry.results import Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.sequencer import Packet, Sequencer
 from heliograph.odometry.start import find_start
@@ -25,8 +24,8 @@ from heliograph.registration import NormalEquations
 
 __all__ = ["FilterCore", "FilterOdometry"]
 
-# A correction larger than this bends the sweep visibly, so its points are moved again and matched once more.
-_REDO_POSITION, _REDO_ROTATION = 0.01, 0.002
+# A correction smaller than this bends a sweep of 0.1 s by less than a millimetre, so its points need not be moved again.
+_SAME_SPEED, _SAME_RATE = 0.005, 0.0005
 _PRUNE_DISTANCE = 10.0
 
 
@@ -80,7 +79,7 @@ class FilterCore:
         posterior = fit.state if fit is not None else prior
         if len(self.map) == 0:
             posterior = _anchored(prior)
-        sweep, path = self._motion.sweep(path, posterior), corrected_path(path, posterior)  # (8)
+        sweep, path = sweep_path(path, prior, posterior), corrected_path(path, posterior)  # (8)
         watch.lap("match")
 
         points_imu = self._deskew(points, offsets, scan, sweep, posterior)  # (3), now with the final motion
@@ -140,27 +139,20 @@ class FilterCore:
     def _match(
         self, prior: NavState, path: ImuPath, scan: Scan, points: NDArray[np.float32], offsets: NDArray[np.int32]
     ) -> UpdateResult[NormalEquations] | None:
-        """Update with the picked points, twice if the first update bends the sweep; None when too few of them match."""
+        """Update with the picked points; None when too few of them match."""
         config = self._config.filter
         if len(self.map) == 0 or len(points) < config.min_matches:
             return None
         before_end = ((scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)).astype(np.float32)
 
-        def updated(sweep_of: Callable[[NavState], ImuPath]) -> UpdateResult[NormalEquations]:
-            def points_at(state: NavState) -> NDArray[np.float32]:
-                return self._deskew(points, offsets, scan, sweep_of(state), state)
+        predicted = self._deskew(points, offsets, scan, path, prior)
 
-            return register(
-                prior, self.map, points_at, before_end, noise=self.noise, config=config, threads=self._threads
-            )
+        def points_at(state: NavState) -> NDArray[np.float32]:
+            if _same_sweep(prior, state):
+                return predicted
+            return self._deskew(points, offsets, scan, sweep_path(path, prior, state), state)
 
-        if not self._motion.inertial:
-            fit = updated(lambda state: self._motion.sweep(path, state))
-        else:
-            fit = updated(lambda _: path)
-            if self._config.cloud.deskew != "off" and _bends(prior, fit.state):
-                bent = corrected_path(path, fit.state)
-                fit = updated(lambda _: bent)
+        fit = register(prior, self.map, points_at, before_end, noise=self.noise, config=config, threads=self._threads)
         return fit if fit.linearization.matches >= config.min_matches else None
 
     def _insert(self, points_imu: NDArray[np.float32], state: NavState) -> float:
@@ -174,10 +166,11 @@ class FilterCore:
             self._pruned_at = state.p_odom
 
 
-def _bends(prior: NavState, posterior: NavState) -> bool:
-    turn = float(np.linalg.norm(so3.log(prior.R_odom_imu.T @ posterior.R_odom_imu)))
-    shift = float(np.linalg.norm(posterior.p_odom - prior.p_odom))
-    return turn > _REDO_ROTATION or shift > _REDO_POSITION
+def _same_sweep(prior: NavState, state: NavState) -> bool:
+    speed = float(np.linalg.norm(state.R_odom_imu.T @ state.v_odom - prior.R_odom_imu.T @ prior.v_odom))
+    rate = float(np.linalg.norm(state.gyro_bias - prior.gyro_bias))
+    mounting = state.T_imu_lidar is prior.T_imu_lidar or bool(np.array_equal(state.T_imu_lidar, prior.T_imu_lidar))
+    return mounting and speed < _SAME_SPEED and rate < _SAME_RATE
 
 
 def _anchored(state: NavState) -> NavState:

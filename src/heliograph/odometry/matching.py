@@ -115,7 +115,7 @@ def register(
     return iterated_update(
         prior,
         measure,
-        max_iterations=config.max_iterations,
+        max_iterations=config.max_iterations + int(np.ceil(np.log2(start / final))),
         tolerance_rotation=config.tolerance_rotation,
         tolerance_position=config.tolerance_position,
         settled=lambda iteration: kernel(iteration) <= final,

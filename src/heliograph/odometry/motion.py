@@ -11,7 +11,7 @@ from heliograph.data import ImuBatch, ImuNoise, NavState
 from heliograph.imu import ImuPath, propagate
 from heliograph.lie import so3
 
-__all__ = ["MotionModel", "corrected_path"]
+__all__ = ["MotionModel", "corrected_path", "sweep_path"]
 
 
 class MotionModel:
@@ -45,23 +45,23 @@ class MotionModel:
             imu = ImuBatch(stamps_ns=stamps, gyro=np.zeros((2, 3)), accel=np.zeros((2, 3)), received_ns=0)
         return propagate(state, imu, end_ns, noise=self._noise, config=self._config)
 
-    def sweep(self, path: ImuPath, state: NavState) -> ImuPath:
-        """Return the motion that leads to ``state``, for de-skewing.
 
-        The IMU's path is bent so as to end there. Without an IMU the state's own velocity and rate are carried back:
-        what an error of theirs does to the points is then exactly what the update's Jacobian says it does.
-        """
-        if self.inertial:
-            return corrected_path(path, state)
-        ends = np.array([path.stamps_ns[0], path.stamps_ns[-1]])
-        before = (ends - ends[-1]) * 1e-9
-        return ImuPath(
-            stamps_ns=ends,
-            R_odom_imu=state.R_odom_imu @ so3.exp(-before[:, None] * state.gyro_bias),
-            p_odom=state.p_odom + before[:, None] * state.v_odom,
-            v_odom=np.tile(state.v_odom, (2, 1)),
-            held_s=0.0,
-        )
+def sweep_path(path: ImuPath, prior: NavState, state: NavState) -> ImuPath:
+    """Return the motion within a sweep as ``state`` at its end has it, for de-skewing.
+
+    ``path`` was predicted with the velocity and gyroscope bias of ``prior``; an error of theirs grows backwards from the
+    sweep's end. Changing both here does to the points exactly what the Jacobian of the registration says it does.
+    """
+    before = (path.stamps_ns[-1] - path.stamps_ns)[:, None] * 1e-9
+    end = path.p_odom[-1]
+    turned = path.R_odom_imu @ so3.exp(before * (state.gyro_bias - prior.gyro_bias))
+    align = state.R_odom_imu @ path.R_odom_imu[-1].T
+    return replace(
+        path,
+        R_odom_imu=align @ turned,
+        p_odom=state.p_odom + (path.p_odom - end) @ align.T - before * (state.v_odom - align @ prior.v_odom),
+        v_odom=path.v_odom + (state.v_odom - prior.v_odom),
+    )
 
 
 def corrected_path(path: ImuPath, posterior: NavState) -> ImuPath:

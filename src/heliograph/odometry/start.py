@@ -94,9 +94,8 @@ def _moving_event(begin_ns: int, rest: StaticStart, moved: _Motion | None) -> Ev
 
 
 def _blank_state(stamp_ns: int, rig: Rig) -> NavState:
-    estimate_mounting = rig.sigma_rotation > 0.0 or rig.sigma_translation > 0.0
-    covariance = np.zeros((23, 23) if estimate_mounting else (17, 17))
-    if estimate_mounting:
+    covariance = np.zeros((17, 17) if rig.known else (23, 23))
+    if not rig.known:
         covariance[17:20, 17:20] = rig.sigma_rotation**2 * np.eye(3)
         covariance[20:23, 20:23] = rig.sigma_translation**2 * np.eye(3)
     return NavState(
@@ -120,7 +119,7 @@ def _constant_velocity_state(
     stamp_ns: int, v: Array, rate: Array, v_sigma: float, rate_sigma: float, rig: Rig
 ) -> NavState:
     # See MotionModel: the imaginary gyroscope's bias is minus the body rate. The mounting is unobservable without an IMU.
-    state = _blank_state(stamp_ns, replace(rig, sigma_rotation=0.0, sigma_translation=0.0))
+    state = _blank_state(stamp_ns, replace(rig, known=True))
     _set_block(state, 6, v_sigma)
     _set_block(state, 9, rate_sigma)
     return replace(state, v_odom=v, gyro_bias=-rate)

@@ -275,10 +275,19 @@ def test_fallback_stride_asks_one_of_so_many(rng):
     assert 0.3 * counts[1] < counts[2] < 0.7 * counts[1]
 
 
-@pytest.mark.parametrize("points", [np.zeros((0, 3), np.float32), np.full((3, 3), np.nan, np.float32)])
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((0, 3), np.float32),
+        np.full((3, 3), np.nan, np.float32),
+        np.array([[np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]], np.float32),
+    ],
+)
 @pytest.mark.parametrize("residual", ["plane", "point"])
 def test_nothing_to_match_gives_zero_sums(rng, points, residual):
     fast = scene(rng)[0]
+    floor = np.concatenate([rng.uniform(-1.0, 1.0, (900, 2)), np.zeros((900, 1))], axis=1).astype(np.float32)
+    fast.insert(floor, np.eye(4))  # a plane in the cubes at the origin, where the index of NaN wraps to
     for some in (fast, VoxelMap()):
         sums = linearize(some, points, np.eye(4), np.eye(4), replace(SETTINGS, residual=residual))
         assert sums.matches == 0

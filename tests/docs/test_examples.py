@@ -1,0 +1,81 @@
+"""The examples run, and show what they promise."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from heliograph.testing import assert_local_map
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def _run(name, *arguments):
+    done = subprocess.run(
+        [sys.executable, "-W", "error", str(EXAMPLES / name), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "MPLBACKEND": "Agg"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def _numbers(pattern, text):
+    return [float(value) for value in re.findall(pattern, text)]
+
+
+def test_examples_are_short():
+    for script in EXAMPLES.glob("*.py"):
+        assert len(script.read_text().splitlines()) <= 60, script.name
+
+
+def test_run_from_python_tracks_every_scan(tmp_path, short_recording):
+    text = _run("run_from_python.py", short_recording, tmp_path / "out.tum")
+    scans = int(re.search(r"(\d+) scans", text)[1])
+    assert f"'tracked': {scans - 1}" in text
+    assert len((tmp_path / "out.tum").read_text().splitlines()) == scans + 1
+
+
+def test_side_by_side_favours_both_sensors(tmp_path):
+    text = _run("side_by_side.py", tmp_path / "figure.png", 8)
+    lidar, imu, both = _numbers(r"at most ([\d.]+) m", text)
+    assert both < 0.02
+    assert both < 0.5 * min(lidar, imu)
+    assert (tmp_path / "figure.png").stat().st_size > 10_000
+
+
+def test_deskew_ablation_thins_the_map_with_the_imu():
+    rows = [line.split() for line in _run("deskew_ablation.py", 8).splitlines()[1:]]
+    thickness = {row[0]: float(row[-1]) for row in rows}
+    error = {row[0]: float(row[-2]) for row in rows}
+    assert thickness["imu"] < 0.8 * thickness["off"]
+    assert error["imu"] < min(error["off"], error["constant"])
+
+
+def test_own_local_map_tracks():
+    text = _run("own_local_map.py", 5)
+    scans, matches = _numbers(r"(\d+) (?:scans|matches)", text)
+    assert scans > 40
+    assert matches > 1000
+
+
+@pytest.mark.slow
+def test_tunnel_degeneracy_points_along_the_tunnel(tmp_path):
+    text = _run("tunnel_degeneracy.py", tmp_path / "figure.png", 20)
+    assert _numbers(r"cosine ([\d.]+)", text)[0] > 0.99
+    assert int(re.search(r"(\d+) of", text)[1]) > 50
+
+
+def test_own_local_map_obeys_the_law(rng):
+    sys.path.insert(0, str(EXAMPLES))
+    try:
+        from own_local_map import CubeMap
+    finally:
+        sys.path.pop(0)
+    assert_local_map(CubeMap, rng)

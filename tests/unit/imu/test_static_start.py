@@ -1,0 +1,103 @@
+"""What rest tells, and when it is not rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heliograph.config import ImuConfig
+from heliograph.data import ImuBatch
+from heliograph.errors import DataError
+from heliograph.imu import assess_stillness
+from states import GRAVITY, START_NS, random_rotation
+
+CONFIG = ImuConfig()
+RATE = 200.0
+
+
+def resting(rng, *, duration=1.0, gyro_noise=5e-4, accel_noise=5e-3, gyro_bias=None, up=None):
+    """Samples at rest with the densities given."""
+    n = int(duration * RATE) + 1
+    stamps = START_NS + np.arange(n, dtype=np.int64) * int(1e9 / RATE)
+    gyro = gyro_noise * np.sqrt(RATE) * rng.normal(size=(n, 3)) + (np.zeros(3) if gyro_bias is None else gyro_bias)
+    force = GRAVITY * (np.array([0.0, 0.0, 1.0]) if up is None else up)
+    accel = accel_noise * np.sqrt(RATE) * rng.normal(size=(n, 3)) + force
+    return ImuBatch(stamps_ns=stamps, gyro=gyro, accel=accel, received_ns=int(stamps[-1]))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rest_recovers_gravity_bias_and_noise(seed):
+    rng = np.random.default_rng(seed)
+    bias, up = rng.normal(scale=0.02, size=3), random_rotation(rng)[:, 2]
+    rest = assess_stillness(resting(rng, duration=3.0, gyro_bias=bias, up=up), CONFIG)
+    assert rest.still
+    assert rest.reason == ""
+    np.testing.assert_allclose(rest.gyro_mean, bias, atol=4 * 5e-4 / np.sqrt(3.0))
+    np.testing.assert_allclose(rest.accel_mean, GRAVITY * up, atol=4 * 5e-3 / np.sqrt(3.0))
+    assert rest.noise.gyro == pytest.approx(5e-4, rel=0.1)
+    assert rest.noise.accel == pytest.approx(5e-3, rel=0.1)
+    assert rest.period == pytest.approx(1 / RATE)
+    assert rest.duration == pytest.approx(3.0)
+
+
+def test_noise_stays_within_what_rest_may_tell(rng):
+    silent = assess_stillness(resting(rng, gyro_noise=0.0, accel_noise=0.0), CONFIG).noise
+    assert (silent.gyro, silent.accel) == (CONFIG.gyro_noise_floor, CONFIG.accel_noise_floor)
+    loud = replace(CONFIG, still_gyro_sigma=9.0, still_accel_sigma=9.0)
+    noisy = assess_stillness(resting(rng, gyro_noise=0.01, accel_noise=0.1), loud).noise
+    assert (noisy.gyro, noisy.accel) == (CONFIG.gyro_noise, CONFIG.accel_noise)
+
+
+def shaken(imu):
+    t = (imu.stamps_ns - imu.stamps_ns[0])[:, None] * 1e-9
+    return replace(imu, accel=imu.accel + np.sin(2 * np.pi * 30.0 * t))
+
+
+def turning(imu):
+    return replace(imu, gyro=imu.gyro + np.array([0.0, 0.0, 0.2]))
+
+
+def wobbling(imu):
+    t = (imu.stamps_ns - imu.stamps_ns[0])[:, None] * 1e-9
+    return replace(imu, gyro=imu.gyro + 0.1 * np.sin(2 * np.pi * 2.0 * t))
+
+
+def heavy(imu):
+    return replace(imu, accel=1.1 * imu.accel)
+
+
+def braking(imu):
+    accel = imu.accel.copy()
+    accel[len(accel) // 2 :, 0] += 0.45
+    return replace(imu, accel=accel)
+
+
+def short(imu):
+    return replace(imu, stamps_ns=imu.stamps_ns[:60], gyro=imu.gyro[:60], accel=imu.accel[:60])
+
+
+@pytest.mark.parametrize(
+    ("disturb", "reason"),
+    [
+        (shaken, "accelerometer spread"),
+        (turning, "mean rate 0.2"),
+        (wobbling, "gyro spread"),
+        (heavy, "gravity error 0.98"),
+        (braking, "force change 0.4"),
+        (short, "only 0.30"),
+    ],
+)
+def test_motion_is_not_rest_and_the_reason_names_it(rng, disturb, reason):
+    quiet = resting(rng, gyro_noise=1e-4, accel_noise=1e-3)
+    assert assess_stillness(quiet, CONFIG).still
+    verdict = assess_stillness(disturb(quiet), CONFIG)
+    assert not verdict.still
+    assert reason in verdict.reason
+    assert verdict.noise.gyro == CONFIG.gyro_noise  # what moved tells nothing of noise
+
+
+def test_two_samples_are_needed(rng):
+    one = resting(rng, duration=0.0)
+    assert len(one) == 1
+    with pytest.raises(DataError, match="1 IMU samples"):
+        assess_stillness(one, CONFIG)

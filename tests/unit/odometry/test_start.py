@@ -1,0 +1,168 @@
+"""The filter's first state: at rest, in motion, without an IMU, and how honest its covariance is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heliograph.config import RunConfig
+from heliograph.data import ImuBatch, Rig, Scan
+from heliograph.lie import s2, so3
+from heliograph.odometry.error_state import local
+from heliograph.odometry.sequencer import Packet
+from heliograph.odometry.start import find_start
+from heliograph.sim import SCENARIOS, simulate
+from states import GRAVITY, START_NS, random_rotation
+
+CONFIG = RunConfig()
+RIG = Rig(T_imu_lidar=np.eye(4), source="test")
+NO_GAIT = {"bounce": 0.0, "lateral": 0.0, "roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0}
+
+
+def resting_imu(rng, *, up, gyro_bias, accel_bias, duration=1.0, rate=200.0, accel_noise=2e-3):
+    n = int(duration * rate) + 1
+    stamps = START_NS + np.arange(n, dtype=np.int64) * int(1e9 / rate)
+    gyro = gyro_bias + 2e-4 * np.sqrt(rate) * rng.normal(size=(n, 3))
+    accel = GRAVITY * up + accel_bias + accel_noise * np.sqrt(rate) * rng.normal(size=(n, 3))
+    return ImuBatch(stamps_ns=stamps, gyro=gyro, accel=accel, received_ns=int(stamps[-1]))
+
+
+def start_of(imu, rig=RIG):
+    return find_start([Packet(scan=None, end_ns=int(imu.stamps_ns[0]) + 10**8)], imu, rig, CONFIG, threads=1)
+
+
+def draw(rng, accel_noise=2e-3):
+    up, gyro_bias = random_rotation(rng)[:, 2], rng.normal(scale=0.01, size=3)
+    accel_bias = rng.normal(scale=CONFIG.imu.accel_bias_sigma, size=3)
+    imu = resting_imu(rng, up=up, gyro_bias=gyro_bias, accel_bias=accel_bias, accel_noise=accel_noise)
+    start = start_of(imu)
+    state = start.state
+    truth = replace(
+        state, gyro_bias=gyro_bias, accel_bias=accel_bias, v_odom=np.zeros(3), g_odom=-GRAVITY * state.R_odom_imu @ up
+    )
+    return start, truth
+
+
+def test_static_start_is_level_at_the_origin_and_heads_along_x(rng):
+    for _ in range(10):
+        start, truth = draw(rng)
+        state = start.state
+        assert start.events == ()
+        assert start.motion.inertial
+        tilt = np.arccos(np.clip(-truth.g_odom[2] / GRAVITY, -1.0, 1.0))
+        assert tilt < 0.05  # the accelerometer's bias, nothing else
+        np.testing.assert_allclose(state.p_odom, 0.0, atol=5e-3)
+        np.testing.assert_allclose(state.R_odom_imu[1, 0], 0.0, atol=5e-3)
+        np.testing.assert_allclose(state.gyro_bias, truth.gyro_bias, atol=2e-3)
+
+
+def test_static_start_knows_that_a_bias_and_a_tilt_look_alike():
+    """Errors of bias and gravity fit a covariance that holds them correlated: mean squared distance = dimension.
+
+    The noise is large enough for the filter's allowance of 2 mm/s^2 for what is not white to play no part.
+    """
+    rng, draws = np.random.default_rng(7), 300
+    squares, alone = [], []
+    for _ in range(draws):
+        start, truth = draw(rng, accel_noise=1e-2)
+        error = local(start.state, truth)[12:17]
+        P = start.state.covariance[12:17, 12:17]
+        squares.append(error @ np.linalg.solve(P, error))
+        alone.append(error[3:] @ np.linalg.solve(np.diag(np.diag(P)[3:]), error[3:]))
+        strongest = np.abs(P[:3, 3:] / np.sqrt(np.outer(np.diag(P)[:3], np.diag(P)[3:]))).max()
+        assert strongest > 0.5
+    assert np.mean(squares) == pytest.approx(5.0, abs=4.0 * np.sqrt(10.0 / draws))
+    assert np.mean(alone) == pytest.approx(2.0, abs=4.0 * np.sqrt(4.0 / draws))
+
+
+def test_static_start_gyro_bias_sigma_covers_its_error():
+    rng, squares = np.random.default_rng(9), []
+    for _ in range(200):
+        start, truth = draw(rng)
+        error = local(start.state, truth)[9:12]
+        squares.append(error @ np.linalg.solve(start.state.covariance[9:12, 9:12], error) / 3.0)
+    assert 0.3 < np.mean(squares) < 1.2
+
+
+def test_mounting_is_estimated_only_where_it_is_uncertain(rng):
+    imu = resting_imu(rng, up=np.array([0.0, 0.0, 1.0]), gyro_bias=np.zeros(3), accel_bias=np.zeros(3))
+    assert start_of(imu).state.covariance.shape == (17, 17)
+    unsure = replace(RIG, sigma_rotation=0.02, sigma_translation=0.1)
+    P = start_of(imu, unsure).state.covariance
+    np.testing.assert_allclose(np.diag(P)[17:], [4e-4] * 3 + [1e-2] * 3)
+
+
+@pytest.mark.parametrize("rpy", [(0.0, 90.0, 30.0), (180.0, 0.0, 0.0), (45.0, 0.0, 77.0), (90.0, 0.0, 0.0)])
+def test_any_mounting_starts_level(rng, rpy):
+    R_world_imu = so3.from_rpy(*np.radians(rpy))
+    imu = resting_imu(rng, up=R_world_imu.T @ [0.0, 0.0, 1.0], gyro_bias=np.zeros(3), accel_bias=np.zeros(3))
+    state = start_of(imu).state
+    np.testing.assert_allclose(state.R_odom_imu.T @ [0, 0, 1], R_world_imu.T @ [0, 0, 1], atol=5e-3)
+    assert np.isfinite(state.covariance).all()
+    np.testing.assert_allclose(state.covariance, state.covariance.T, atol=1e-15)
+
+
+def packets_and_imu(scenario, seed=1):
+    simulation = simulate(scenario, seed)
+    records = list(simulation)
+    packets = [Packet(scan=r, end_ns=r.end_ns) for r in records if isinstance(r, Scan)]
+    batches = [r for r in records if isinstance(r, ImuBatch)]
+    imu = ImuBatch(
+        stamps_ns=np.concatenate([b.stamps_ns for b in batches]),
+        gyro=np.concatenate([b.gyro for b in batches]),
+        accel=np.concatenate([b.accel for b in batches]),
+        received_ns=batches[-1].received_ns,
+    )
+    return simulation, packets, imu
+
+
+def start_in(walk, gait, sensors_imu=True):
+    scenario = SCENARIOS["warehouse"].thinned(beams=24, columns=256).varied(walk=walk, gait=gait)
+    simulation, packets, imu = packets_and_imu(scenario)
+    if not sensors_imu:
+        imu = replace(imu, stamps_ns=imu.stamps_ns[:0], gyro=imu.gyro[:0], accel=imu.accel[:0])
+    start = find_start(packets, imu, simulation.rig, CONFIG, threads=1)
+    return start, simulation.truth.motion(np.array([start.state.stamp_ns]))
+
+
+def test_constant_speed_looks_still_to_the_imu_but_not_to_the_lidar():
+    start, truth = start_in({"begin": 8.0, "duration": 1.3}, NO_GAIT)
+    (event,) = start.events
+    assert event.code == "start-moving"
+    assert "although the IMU is calm" in event.message
+    speed = np.linalg.norm(truth.v_world[0])
+    assert speed > 1.4
+    v_imu, v_true = start.state.R_odom_imu.T @ start.state.v_odom, truth.R_world_body[0].T @ truth.v_world[0]
+    np.testing.assert_allclose(v_imu, v_true, atol=0.15)
+
+
+def test_walking_start_finds_velocity_gravity_and_bias_within_its_sigmas():
+    start, truth = start_in({"begin": 12.0, "duration": 1.3}, {})
+    (event,) = start.events
+    assert event.code == "start-moving"
+    assert "rest" in event.message
+    state = start.state
+    down = truth.R_world_body[0].T @ [0.0, 0.0, -1.0]
+    found = state.R_odom_imu.T @ state.g_odom / GRAVITY
+    tilt = np.linalg.norm(s2.local(found, down))
+    assert tilt < 0.12
+    assert tilt < 4.0 * np.sqrt(np.trace(state.covariance[15:17, 15:17]))
+    v_error = state.R_odom_imu.T @ state.v_odom - truth.R_world_body[0].T @ truth.v_world[0]
+    assert np.linalg.norm(v_error) < 3.0 * np.sqrt(np.trace(state.covariance[6:9, 6:9]))
+    assert np.linalg.norm(v_error) < 0.5
+
+
+def test_rest_agrees_with_the_lidar():
+    start, _ = start_in({"duration": 1.3}, {})
+    assert start.events == ()
+    assert np.linalg.norm(start.state.v_odom) == 0.0
+
+
+def test_start_without_imu_warns_and_knows_no_gravity():
+    start, truth = start_in({"begin": 8.0, "duration": 1.3}, NO_GAIT, sensors_imu=False)
+    (event,) = start.events
+    assert event.code == "no-imu"
+    assert not start.motion.inertial
+    np.testing.assert_array_equal(start.state.g_odom, 0.0)
+    v_imu, v_true = start.state.R_odom_imu.T @ start.state.v_odom, truth.R_world_body[0].T @ truth.v_world[0]
+    np.testing.assert_allclose(v_imu, v_true, atol=0.15)
