@@ -22,8 +22,12 @@ class PointGrid {
  public:
   PointGrid(double size, double spacing) : size_(size), spacing2_(static_cast<float>(spacing * spacing)) {}
 
-  // Adds points (odom frame) one after the other, each unless its cube is full or holds a point nearer than the spacing.
-  void insert(std::span<const double* const> points);
+  // For each of some points (odom frame), whether its cube is neither full nor holds a point nearer than the spacing.
+  // Answers together what would be slow one by one: the table is larger than any cache.
+  void accepts(std::span<const double* const> points, bool* answers) const;
+
+  // Adds a point if it would be accepted.
+  void insert(const double* p);
 
   // Keeps the cubes whose centre lies within `radius` of `centre`.
   void prune(const double* centre, double radius);
@@ -34,11 +38,12 @@ class PointGrid {
   size_t bytes() const { return index_.bytes() + buckets_.capacity() * sizeof(PointBucket); }
 
  private:
-  struct Entry {
-    Cube cube;
-    uint32_t id;
+  struct Place {
+    uint64_t key;
+    float xyz[3];  // relative to the cube's centre
   };
-  void add(const double* p, const Entry& entry);
+  Place place(const double* p) const;
+  bool has_room(const PointBucket& bucket, const float* xyz) const;
 
   double size_;
   float spacing2_;

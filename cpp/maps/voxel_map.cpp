@@ -5,13 +5,20 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <memory>
 #include <stdexcept>
+
+#include "util/point_rank.hpp"
 
 namespace heliograph {
 
 namespace {
+
 constexpr size_t kBatch = 16;
 constexpr uint32_t kFull = ~uint32_t{0};
+// About a millimetre at 10 m: de-skewing the same point from another driver's message differs by less.
+constexpr int kRankBits = 10;
+
 }  // namespace
 
 VoxelMap::VoxelMap(const VoxelMapSettings& settings)
@@ -37,6 +44,7 @@ void VoxelMap::gather(std::span<const float> points_body, const double* T) {
       for (int i = 0; i < 3; ++i) spot.q[i] = T[4 * i] * x + T[4 * i + 1] * y + T[4 * i + 2] * z + T[4 * i + 3];
       spot.cube = {floor_index(spot.q[0] * inverse), floor_index(spot.q[1] * inverse), floor_index(spot.q[2] * inverse)};
       spot.key = pack(0, spot.cube);
+      spot.rank = point_rank(p, kRankBits);
       seen_.prefetch(spot.key);
     }
     for (size_t k = 0; k < batch; ++k)
@@ -46,12 +54,12 @@ void VoxelMap::gather(std::span<const float> points_body, const double* T) {
 
 void VoxelMap::collect(const Spot& spot) {
   const auto [id, is_new] = seen_.insert(spot.key, static_cast<uint32_t>(deltas_.size()));
-  if (is_new) {
-    deltas_.emplace_back();
-    deltas_.back().cube = spot.cube;
-    std::copy(spot.q, spot.q + 3, deltas_.back().first);
-  }
+  if (is_new) deltas_.push_back({.key = spot.key, .cube = spot.cube});
   Delta& d = deltas_[id];
+  if (is_new || spot.rank < d.rank) {
+    d.rank = spot.rank;
+    std::copy(spot.q, spot.q + 3, d.raw);
+  }
   const double voxel = settings_.voxel;
   const float u = static_cast<float>(spot.q[0] - (static_cast<double>(spot.cube.x) + 0.5) * voxel);
   const float v = static_cast<float>(spot.q[1] - (static_cast<double>(spot.cube.y) + 0.5) * voxel);
@@ -83,8 +91,6 @@ uint32_t VoxelMap::locate(uint64_t key, size_t* created) {
 
 void VoxelMap::add(const Delta& delta, uint64_t key, uint32_t id) {
   Moments& m = moments_[id];
-  const auto most = static_cast<float>(settings_.max_points);
-  if (m.count >= most) return;  // another delta of this batch filled it
   const double fine = settings_.voxel, coarse = edge(key_level(key));
   const Cube cube = unpack(key);
   const float d[3] = {
@@ -98,7 +104,6 @@ void VoxelMap::add(const Delta& delta, uint64_t key, uint32_t id) {
   int k = 0;
   for (int i = 0; i < 3; ++i)
     for (int j = i; j < 3; ++j, ++k) m.outer[k] += delta.outer[k] + s[i] * d[j] + d[i] * s[j] + n * d[i] * d[j];
-  if (m.count >= most) index_.place(key, id).first->full = 1;
   const auto insertion = static_cast<uint32_t>(mountings_.size() / 12);
   if (m.touched != insertion) touched_.push_back(id);
   m.touched = insertion;
@@ -123,14 +128,26 @@ size_t VoxelMap::add_batch(std::span<const Delta> deltas) {
   }
   for (size_t k = 0; k < count; ++k)
     if (ids[k] != kFull) add(deltas[k / levels], keys[k], ids[k]);
-  std::array<const double*, kBatch> firsts;
-  for (size_t k = 0; k < deltas.size(); ++k) firsts[k] = deltas[k].first;
-  points_.insert(std::span(firsts).first(deltas.size()));
   return created;
+}
+
+// Raw points turn their neighbours away, so their order counts: it is that of space, not that of the driver.
+void VoxelMap::add_raw_points() {
+  std::vector<const double*> raw(deltas_.size());
+  std::transform(deltas_.begin(), deltas_.end(), raw.begin(), [](const Delta& delta) { return delta.raw; });
+  const auto accepted = std::make_unique<bool[]>(raw.size());
+  points_.accepts(raw, accepted.get());
+  std::vector<std::pair<uint64_t, const double*>> chosen;
+  for (size_t k = 0; k < raw.size(); ++k)
+    if (accepted[k]) chosen.emplace_back(deltas_[k].key, raw[k]);
+  std::sort(chosen.begin(), chosen.end());
+  for (const auto& [key, point] : chosen) points_.insert(point);
 }
 
 void VoxelMap::refit(uint32_t id) {
   Moments& m = moments_[id];
+  // Only now, so that it does not matter in which order the insertion's points came.
+  if (m.count >= static_cast<float>(settings_.max_points)) index_.place(m.key, id).first->full = 1;
   // A plane barely changes while its cube gains less than a quarter of its points.
   if (m.count < static_cast<float>(settings_.min_points) || m.count < 1.25F * m.fitted) return;
   m.fitted = m.count;
@@ -168,6 +185,7 @@ double VoxelMap::insert(std::span<const float> points_body, const double* T_odom
   size_t created = 0;
   for (size_t begin = 0; begin < deltas_.size(); begin += kBatch)
     created += add_batch(std::span<const Delta>(deltas_).subspan(begin, std::min(kBatch, deltas_.size() - begin)));
+  add_raw_points();
   for (const uint32_t id : touched_) refit(id);
   const size_t surroundings = coarse_cubes();
   return surroundings == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(surroundings);

@@ -14,7 +14,7 @@ struct VoxelMapSettings {
   double voxel;           // edge of the finest cube [m]; each level doubles it
   int levels;             // 1 to 8
   int min_points;         // a plane needs as many
-  int max_points;         // a cube is frozen from there on
+  int max_points;         // a cube that holds as many after an insertion is frozen
   double max_thickness;   // largest standard deviation across a plane [m]
   double min_spread;      // smallest standard deviation along it, as a share of the cube's edge
   double point_spacing;   // of the raw points kept for the nearest-neighbour fallback [m]
@@ -67,24 +67,28 @@ class VoxelMap {
   // What one scan adds to one finest cube. Gathering first means that the large tables are touched once a cube, not once
   // a point and level.
   struct Delta {
+    uint64_t key;
     Cube cube;
     float count = 0.0F;
     float sum[3] = {0.0F, 0.0F, 0.0F};
     float outer[6] = {0.0F, 0.0F, 0.0F, 0.0F, 0.0F, 0.0F};
-    double first[3] = {0.0, 0.0, 0.0};
+    uint32_t rank = ~uint32_t{0};
+    double raw[3] = {0.0, 0.0, 0.0};  // the point that stands for the others in the fallback's grid
   };
   struct Spot {
     double q[3];  // odom frame
     Cube cube;
     uint64_t key;  // kNoKey: not a point
+    uint32_t rank;
   };
   void gather(std::span<const float> points_body, const double* T_odom_body);
   void collect(const Spot& spot);
+  size_t add_batch(std::span<const Delta> deltas);
   uint32_t locate(uint64_t key, size_t* created);
   void add(const Delta& delta, uint64_t key, uint32_t id);
-  size_t add_batch(std::span<const Delta> deltas);
-  size_t coarse_cubes();
+  void add_raw_points();
   void refit(uint32_t id);
+  size_t coarse_cubes();
 
   VoxelMapSettings settings_;
   FlatIndex index_;

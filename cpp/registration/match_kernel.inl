@@ -52,37 +52,62 @@ inline bool within_world(const double* q) {
   return std::abs(q[0]) < kEnd && std::abs(q[1]) < kEnd && std::abs(q[2]) < kEnd;
 }
 
+// Whether cube (x, y, z) of a level has a plane within the gate of q; fills `out` if so.
+inline bool try_plane(const MapView& map, int level, const int64_t* c, const double* q, float gate, FoundPlane* out) {
+  uint32_t id = 0;
+  if (!find(map.voxels, kernel_pack(static_cast<uint64_t>(level), c[0], c[1], c[2]), &id)) return false;
+  const PlaneView& plane = map.planes[id];
+  if (plane.variance < 0.0F) return false;
+  const double edge = map.voxel * static_cast<double>(int64_t{1} << level);
+  const float dx = static_cast<float>(q[0] - (static_cast<double>(c[0]) + 0.5) * edge) - plane.centroid[0];
+  const float dy = static_cast<float>(q[1] - (static_cast<double>(c[1]) + 0.5) * edge) - plane.centroid[1];
+  const float dz = static_cast<float>(q[2] - (static_cast<double>(c[2]) + 0.5) * edge) - plane.centroid[2];
+  const float r = plane.normal[0] * dx + plane.normal[1] * dy + plane.normal[2] * dz;
+  if (r > gate || r < -gate) return false;
+  out->normal[0] = plane.normal[0];
+  out->normal[1] = plane.normal[1];
+  out->normal[2] = plane.normal[2];
+  out->offset[0] = dx;
+  out->offset[1] = dy;
+  out->offset[2] = dz;
+  out->variance = plane.variance * (1.0F + (dx * dx + dy * dy + dz * dz - r * r) * plane.inv_spread);
+  out->source = static_cast<uint8_t>(1 + level);
+  out->id = id;
+  return true;
+}
+
 // The finest plane whose cube holds q and whose distance passes the gate.
 inline bool find_plane(const MapView& map, const double* q, float gate, FoundPlane* out) {
-  if (!within_world(q)) return false;
   const double inverse = 1.0 / map.voxel;
-  const auto x = kernel_floor(q[0] * inverse);
-  const auto y = kernel_floor(q[1] * inverse);
-  const auto z = kernel_floor(q[2] * inverse);
-  double edge = map.voxel;
-  for (int level = 0; level < map.levels; ++level, edge *= 2.0) {
-    const int64_t cx = x >> level, cy = y >> level, cz = z >> level;
-    uint32_t id = 0;
-    if (!find(map.voxels, kernel_pack(static_cast<uint64_t>(level), cx, cy, cz), &id)) continue;
-    const PlaneView& plane = map.planes[id];
-    if (plane.variance < 0.0F) continue;
-    const float dx = static_cast<float>(q[0] - (static_cast<double>(cx) + 0.5) * edge) - plane.centroid[0];
-    const float dy = static_cast<float>(q[1] - (static_cast<double>(cy) + 0.5) * edge) - plane.centroid[1];
-    const float dz = static_cast<float>(q[2] - (static_cast<double>(cz) + 0.5) * edge) - plane.centroid[2];
-    const float r = plane.normal[0] * dx + plane.normal[1] * dy + plane.normal[2] * dz;
-    if (r > gate || r < -gate) continue;
-    out->normal[0] = plane.normal[0];
-    out->normal[1] = plane.normal[1];
-    out->normal[2] = plane.normal[2];
-    out->offset[0] = dx;
-    out->offset[1] = dy;
-    out->offset[2] = dz;
-    out->variance = plane.variance * (1.0F + (dx * dx + dy * dy + dz * dz - r * r) * plane.inv_spread);
-    out->source = static_cast<uint8_t>(1 + level);
-    out->id = id;
-    return true;
+  const int64_t fine[3] = {kernel_floor(q[0] * inverse), kernel_floor(q[1] * inverse), kernel_floor(q[2] * inverse)};
+  for (int level = 0; level < map.levels; ++level) {
+    const int64_t c[3] = {fine[0] >> level, fine[1] >> level, fine[2] >> level};
+    if (try_plane(map, level, c, q, gate, out)) return true;
   }
   return false;
+}
+
+// A gate wider than this share of the coarsest cube means that the pose is poor.
+constexpr double kWideShare = 0.4;
+
+// While it is, a point may lie in the cube beside its surface's: the nearest plane of the coarsest cubes around.
+inline bool find_plane_around(const MapView& map, const double* q, float gate, FoundPlane* out) {
+  const int level = map.levels - 1;
+  const double inverse = 1.0 / (map.voxel * static_cast<double>(int64_t{1} << level));
+  const int64_t middle[3] = {kernel_floor(q[0] * inverse), kernel_floor(q[1] * inverse), kernel_floor(q[2] * inverse)};
+  float nearest = gate;
+  bool found = false;
+  for (int n = 0; n < 7; ++n) {
+    int64_t c[3] = {middle[0], middle[1], middle[2]};
+    if (n > 0) c[(n - 1) / 2] += (n - 1) % 2 == 0 ? -1 : 1;
+    FoundPlane plane;
+    if (!try_plane(map, level, c, q, nearest, &plane)) continue;
+    const float r = plane.normal[0] * plane.offset[0] + plane.normal[1] * plane.offset[1] + plane.normal[2] * plane.offset[2];
+    nearest = r < 0.0F ? -r : r;
+    *out = plane;
+    found = true;
+  }
+  return found;
 }
 
 constexpr int kNeighbours = 5;
@@ -316,6 +341,7 @@ inline double robust_cost(double r, double kernel) {
 
 inline void planes_range(const MatchInput& in, uint64_t begin, uint64_t end, NormalSums* sums) {
   const auto gate = static_cast<float>(in.gate);
+  const bool wide = in.gate > in.map.voxel * static_cast<double>(int64_t{1} << (in.map.levels - 1)) * kWideShare;
   int unmatched = 0;
   for (uint64_t k = begin; k < end; ++k) {
     const float* p = in.points + 3 * k;
@@ -323,7 +349,7 @@ inline void planes_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
     to_odom(in.T_odom_body, p, q);
     FoundPlane plane;
     bool fallback = false;
-    if (!find_plane(in.map, q, gate, &plane)) {
+    if (!(wide ? find_plane_around(in.map, q, gate, &plane) : find_plane(in.map, q, gate, &plane))) {
       if (in.fallback_stride == 0 || unmatched++ % in.fallback_stride != 0) continue;
       if (!find_neighbour_plane(in.map, q, gate, static_cast<float>(in.fallback_range), &plane)) continue;
       fallback = true;

@@ -39,6 +39,14 @@ class FlatIndex {
     return {slot->value, is_new};
   }
 
+  // The slot of `key`, null when it is not there.
+  const Slot* find(uint64_t key) const {
+    for (uint64_t i = mix(key) & mask_;; i = (i + 1) & mask_) {
+      if (slots_[i].key == key) return &slots_[i];
+      if (slots_[i].key == kNoKey) return nullptr;
+    }
+  }
+
   void prefetch(uint64_t key) const { __builtin_prefetch(slots_.data() + (mix(key) & mask_), 1); }
 
   void clear() {

@@ -207,6 +207,8 @@ class FilterConfig:
         One of so many points without a plane asks for its neighbours; 0 switches the fallback off.
     min_matches : int
         Fewer matches make no update.
+    vague_share : float
+        After a vague prediction, a share of matched points below this part of the usual one makes no update.
     degenerate_translation, degenerate_rotation : float
         A per-measurement eigenvalue below it makes a direction count as blind.
     constant_velocity_accel, constant_velocity_gyro : float
@@ -227,6 +229,7 @@ class FilterConfig:
     systematic: float = 0.1
     fallback_stride: int = 2
     min_matches: int = 50
+    vague_share: float = 0.6
     degenerate_translation: float = 0.01
     degenerate_rotation: float = 0.003
     constant_velocity_accel: float = 3.0

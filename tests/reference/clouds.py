@@ -27,18 +27,23 @@ def pose_at(t, stamps_ns, R, p):
     return R[-1], p[-1]
 
 
+def rank(point, dropped=0):
+    """Return the pseudo-random rank of a float32 point: multiplied and folded bits, in Python's own integers."""
+    wide = 2**64 - 1
+    x, y, z = (int(bits) >> dropped for bits in np.asarray(point, np.float32).view(np.uint32))
+    h = (x * 0x9E3779B97F4A7C15 & wide) ^ (y * 0xC2B2AE3D27D4EB4F & wide) ^ (z * 0x165667B19E3779F9 & wide)
+    return ((h ^ h >> 32) * 0xD6E8FEB86659FD93 & wide) >> 32
+
+
 def downsample_slowly(points, leaf):
-    """Return the index of the first finite point of each cube."""
-    seen, kept = set(), []
+    """Return the index of the finite point of lowest rank of each cube, by cube."""
+    cubes = {}
     inverse = np.float32(1.0) / np.float32(leaf)
     for i, point in enumerate(points):
-        if not np.isfinite(point).all():
-            continue
-        cube = tuple(int(np.floor(x * inverse)) for x in point)
-        if cube not in seen:
-            seen.add(cube)
-            kept.append(i)
-    return np.array(kept, dtype=np.int32)
+        if np.isfinite(point).all():
+            cubes.setdefault(tuple(int(np.floor(x * inverse)) for x in point), []).append(i)
+    best = [min(cubes[cube], key=lambda i: rank(points[i])) for cube in sorted(cubes)]
+    return np.array(best, dtype=np.int32)
 
 
 def range_gate_slowly(points, low, high):

@@ -2,7 +2,10 @@
 
 import numpy as np
 
+from reference.clouds import rank
+
 BUCKET = 16
+RANK_BITS = 10
 
 
 def cube_of(point, edge):
@@ -14,7 +17,7 @@ class SlowVoxelMap:
 
     def __init__(self, config):
         self.config = config
-        self.cubes = {}  # (level, cube) -> {"points": [...], "fitted": int, "plane": None or dict}
+        self.cubes = {}  # (level, cube) -> {"points": [...], "fitted": int, "plane": None or dict, "frozen": bool}
         self.point_size = config.voxel * (2.0 if config.levels > 1 else 1.0)
         self.buckets = {}
 
@@ -26,18 +29,20 @@ class SlowVoxelMap:
 
     def insert(self, points_body, T):
         finite = points_body[np.isfinite(points_body).all(axis=1)].astype(np.float64)
-        groups = {}
-        for q in finite @ T[:3, :3].T + T[:3, 3]:
-            groups.setdefault(cube_of(q, self.config.voxel), []).append(q)
+        groups, ranks = {}, {}
+        for point, q in zip(finite, finite @ T[:3, :3].T + T[:3, 3], strict=True):
+            cube = cube_of(q, self.config.voxel)
+            groups.setdefault(cube, []).append(q)
+            ranks.setdefault(cube, []).append(rank(point, RANK_BITS))
         touched = []
-        for cube, group in groups.items():
+        for cube, group in sorted(groups.items()):
             for level in range(self.config.levels):
                 key = (level, tuple(c // 2**level for c in cube))
-                entry = self.cubes.setdefault(key, {"points": [], "fitted": 0, "plane": None})
-                if len(entry["points"]) < self.config.max_points:
+                entry = self.cubes.setdefault(key, {"points": [], "fitted": 0, "plane": None, "frozen": False})
+                if not entry["frozen"]:
                     entry["points"] += group
                     touched.append(key)
-            self._keep_raw(group[0])
+            self._keep_raw(group[int(np.argmin(ranks[cube]))])
         for key in touched:
             self._refit(key)
 
@@ -50,6 +55,7 @@ class SlowVoxelMap:
     def _refit(self, key):
         entry, config = self.cubes[key], self.config
         n = len(entry["points"])
+        entry["frozen"] = n >= config.max_points
         if n < config.min_points or n < 1.25 * entry["fitted"]:
             return
         entry["fitted"] = n

@@ -14,7 +14,7 @@ from heliograph.imu import ImuPath
 from heliograph.lie import so3
 from heliograph.maps import LocalMap, VoxelMap
 from heliograph.odometry.drift import MapDrift
-from heliograph.odometry.matching import AdaptiveNoise, Thinning, register
+from heliograph.odometry.matching import AdaptiveNoise, Thinning, is_vague, register
 from heliograph.odometry.motion import MotionModel, corrected_path, sweep_path
 from heliograph.odometry.results import Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.sequencer import Packet, Sequencer
@@ -59,6 +59,7 @@ class FilterCore:
         self.noise = AdaptiveNoise(config.filter.sigma)
         self._motion, self._config, self._threads = motion, config, threads
         self._thinning = Thinning(config.cloud)
+        self._usual_share = 0.0
         self._drift = MapDrift(config.filter.systematic)
         self._pruned_at = start.p_odom
         self._history: ImuPath | None = None
@@ -153,7 +154,21 @@ class FilterCore:
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state), state)
 
         fit = register(prior, self.map, points_at, before_end, noise=self.noise, config=config, threads=self._threads)
-        return fit if fit.linearization.matches >= config.min_matches else None
+        return fit if self._trusted(prior, fit) else None
+
+    def _trusted(self, prior: NavState, fit: UpdateResult[NormalEquations]) -> bool:
+        """Whether enough points match; after a vague prediction that also means: about as many as before it.
+
+        A scan that was led to a wrong place by a prediction that allowed for one finds planes there too, but fewer.
+        """
+        config, found = self._config.filter, fit.linearization
+        if found.matches < config.min_matches:
+            return False
+        share = found.matches / found.queries
+        if is_vague(prior, self.noise, config) and share < config.vague_share * self._usual_share:
+            return False
+        self._usual_share += 0.1 * (share - self._usual_share) if self._usual_share > 0.0 else share
+        return True
 
     def _insert(self, points_imu: NDArray[np.float32], state: NavState) -> float:
         if isinstance(self.map, VoxelMap):

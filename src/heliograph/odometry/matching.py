@@ -16,7 +16,7 @@ from heliograph.odometry.error_state import NAV_DIM
 from heliograph.odometry.update import UpdateResult, iterated_update
 from heliograph.registration import MatchSettings, NormalEquations, linearize
 
-__all__ = ["AdaptiveNoise", "Thinning", "register"]
+__all__ = ["AdaptiveNoise", "Thinning", "is_vague", "register"]
 
 # A prediction's rotation error moves points by its sine times their distance; this distance stands for the cloud.
 _TYPICAL_RANGE = 15.0
@@ -66,6 +66,11 @@ def _opening(prior: NavState, sigma: float, config: FilterConfig) -> float:
     return float(np.clip(2.0 * unknown, config.kernel * sigma, config.max_kernel))
 
 
+def is_vague(prior: NavState, noise: AdaptiveNoise, config: FilterConfig) -> bool:
+    """Whether the prediction allows for errors well beyond what the final kernel forgives."""
+    return _opening(prior, noise.sigma, config) > 3.0 * config.kernel * noise.sigma
+
+
 def register(
     prior: NavState,
     local_map: LocalMap,
@@ -80,18 +85,14 @@ def register(
 
     ``points_at(state)`` gives them de-skewed, (N, 3) float32 [m], ``before_end`` (N,) how long before [s].
 
-    The kernel halves from iteration to iteration down to ``config.kernel`` sigmas (graduated non-convexity in its
-    simplest form), so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
+    The kernel narrows down to ``config.kernel`` sigmas as the pose settles (graduated non-convexity in its simplest form),
+    so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
     """
-    final = config.kernel * noise.sigma
     mounting = len(prior.covariance) > NAV_DIM
-    start = _opening(prior, noise.sigma, config)
-
-    def kernel(iteration: int) -> float:
-        return max(final, start * 0.5**iteration)
+    kernel = _NarrowingKernel(_opening(prior, noise.sigma, config), config.kernel * noise.sigma)
 
     def measure(state: NavState, iteration: int) -> NormalEquations:
-        scale = kernel(iteration)
+        scale = kernel.at(state, iteration)
         settings = MatchSettings(
             gate=config.gate * scale,
             kernel=scale,
@@ -115,8 +116,28 @@ def register(
     return iterated_update(
         prior,
         measure,
-        max_iterations=config.max_iterations + int(np.ceil(np.log2(start / final))),
+        max_iterations=config.max_iterations + 4 * int(np.ceil(np.log2(kernel.scale / kernel.final))),
         tolerance_rotation=config.tolerance_rotation,
         tolerance_position=config.tolerance_position,
-        settled=lambda iteration: kernel(iteration) <= final,
+        settled=lambda _: kernel.scale <= kernel.final,
     )
+
+
+class _NarrowingKernel:
+    """A kernel's scale that halves each time the pose has settled at the present one, four iterations at the latest."""
+
+    def __init__(self, start: float, final: float) -> None:
+        self.scale, self.final = start, final
+        self._last: NavState | None = None
+        self._stay = 0
+
+    def at(self, state: NavState, iteration: int) -> float:
+        """Return the scale [m] for an iteration that begins at ``state``."""
+        if iteration > 0 and self._last is not None:
+            shift = float(np.linalg.norm(state.p_odom - self._last.p_odom))
+            turn = float(np.linalg.norm(state.R_odom_imu - self._last.R_odom_imu)) / np.sqrt(2.0)
+            self._stay += 1
+            if shift + _TYPICAL_RANGE * turn < 0.5 * self.scale or self._stay >= 4:
+                self.scale, self._stay = max(self.final, 0.5 * self.scale), 0
+        self._last = state
+        return self.scale

@@ -18,9 +18,25 @@ def test_downsample_equals_its_twin(seed, leaf, spread):
     np.testing.assert_array_equal(voxel_downsample(points, leaf), downsample_slowly(points, leaf))
 
 
-def test_downsample_keeps_the_first_of_each_cube_on_both_sides_of_zero():
+def test_downsample_keeps_one_of_each_cube_on_both_sides_of_zero():
     points = np.array([[0.1, 0, 0], [0.4, 0, 0], [-0.1, 0, 0], [-0.4, 0, 0], [0.6, 0, 0]], np.float32)
-    np.testing.assert_array_equal(voxel_downsample(points, 0.5), [0, 2, 4])
+    kept = voxel_downsample(points, 0.5)
+    np.testing.assert_array_equal(np.floor(points[kept, 0] / 0.5), [-1, 0, 1])
+
+
+def test_downsample_does_not_depend_on_the_order_of_the_points(rng):
+    points = rng.normal(scale=5.0, size=(3000, 3)).astype(np.float32)
+    shuffled = points[rng.permutation(len(points))]
+    np.testing.assert_array_equal(shuffled[voxel_downsample(shuffled, 1.0)], points[voxel_downsample(points, 1.0)])
+
+
+def test_downsample_favours_no_side_of_a_wall(rng):
+    walls = rng.uniform(-20.0, 20.0, (40_000, 3))
+    walls[:, 0] = 5.3 + 0.02 * rng.normal(size=len(walls))
+    walls = walls.astype(np.float32)
+    kept = walls[voxel_downsample(walls, 0.5), 0]
+    assert len(kept) > 5000
+    assert abs(kept.mean() - 5.3) < 4.0 * 0.02 / np.sqrt(len(kept))
 
 
 def test_downsample_grows_past_its_first_table(rng):
