@@ -163,7 +163,7 @@ inline void find_nearest(const MapView& map, const double* q, float range, Neare
     const float oy = static_cast<float>(sy) * edge + half - inside[1];
     const float oz = static_cast<float>(sz) * edge + half - inside[2];
     for (uint32_t k = 0; k < bucket.count; ++k) {
-      const float dx = ox + bucket.xyz[3 * k], dy = oy + bucket.xyz[3 * k + 1], dz = oz + bucket.xyz[3 * k + 2];
+      const float dx = ox + bucket.x[k], dy = oy + bucket.y[k], dz = oz + bucket.z[k];
       const float d2 = dx * dx + dy * dy + dz * dz;
       if (d2 < limit) keep_nearest(best, d2, dx, dy, dz);
     }
