@@ -63,7 +63,7 @@ inline bool try_plane(const MapView& map, int level, const int64_t* c, const dou
   const float dy = static_cast<float>(q[1] - (static_cast<double>(c[1]) + 0.5) * edge) - plane.centroid[1];
   const float dz = static_cast<float>(q[2] - (static_cast<double>(c[2]) + 0.5) * edge) - plane.centroid[2];
   const float r = plane.normal[0] * dx + plane.normal[1] * dy + plane.normal[2] * dz;
-  if (r > gate || r < -gate) return false;
+  if (!(r <= gate && r >= -gate)) return false;  // also where q is not a number
   out->normal[0] = plane.normal[0];
   out->normal[1] = plane.normal[1];
   out->normal[2] = plane.normal[2];
@@ -237,7 +237,7 @@ inline bool find_neighbour_plane(const MapView& map, const double* q, float gate
     out->normal[i] = static_cast<float>(normal[i]);
     out->offset[i] = static_cast<float>(-mean[i]);
   }
-  if (r > gate || r < -gate) return false;
+  if (!(r <= gate && r >= -gate)) return false;  // also where q is not a number
   // Five points tell little about their own spread: the thickness allowed stands in for it.
   out->variance = static_cast<float>(thickness2 / kNeighbours * (1.0 + (d2 - r * r) / values[1]));
   out->source = 255;
