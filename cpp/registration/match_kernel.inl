@@ -78,6 +78,7 @@ inline bool try_plane(const MapView& map, int level, const int64_t* c, const dou
 
 // The finest plane whose cube holds q and whose distance passes the gate.
 inline bool find_plane(const MapView& map, const double* q, float gate, FoundPlane* out) {
+  if (!within_world(q)) return false;
   const double inverse = 1.0 / map.voxel;
   const int64_t fine[3] = {kernel_floor(q[0] * inverse), kernel_floor(q[1] * inverse), kernel_floor(q[2] * inverse)};
   for (int level = 0; level < map.levels; ++level) {
@@ -92,6 +93,7 @@ constexpr double kWideShare = 0.4;
 
 // While it is, a point may lie in the cube beside its surface's: the nearest plane of the coarsest cubes around.
 inline bool find_plane_around(const MapView& map, const double* q, float gate, FoundPlane* out) {
+  if (!within_world(q)) return false;
   const int level = map.levels - 1;
   const double inverse = 1.0 / (map.voxel * static_cast<double>(int64_t{1} << level));
   const int64_t middle[3] = {kernel_floor(q[0] * inverse), kernel_floor(q[1] * inverse), kernel_floor(q[2] * inverse)};
