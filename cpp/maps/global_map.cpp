@@ -22,6 +22,7 @@ void GlobalMap::insert(std::span<const float> points_body, std::span<const float
   const size_t count = points_body.size() / 3;
   std::array<uint64_t, kBatch> keys;
   std::array<std::array<float, 3>, kBatch> local;
+  std::array<uint32_t, kBatch> ids;
   for (size_t begin = 0; begin < count; begin += kBatch) {
     const size_t batch = std::min(kBatch, count - begin);
     for (size_t k = 0; k < batch; ++k) {
@@ -41,7 +42,12 @@ void GlobalMap::insert(std::span<const float> points_body, std::span<const float
       if (keys[k] == kNoKey) continue;
       const auto [id, is_new] = index_.insert(keys[k], static_cast<uint32_t>(cells_.size()));
       if (is_new) cells_.push_back({keys[k], {0, 0, 0}, 0.0F, 0.0F, 0.0F});
-      Cell& cell = cells_[id];
+      __builtin_prefetch(cells_.data() + id, 1);
+      ids[k] = id;
+    }
+    for (size_t k = 0; k < batch; ++k) {
+      if (keys[k] == kNoKey) continue;
+      Cell& cell = cells_[ids[k]];
       for (size_t i = 0; i < 3; ++i) cell.sum[i] += local[k][i];
       if (!intensity.empty()) cell.intensity += intensity[begin + k];
       cell.count += 1.0F;

@@ -15,7 +15,7 @@ from heliograph.cli.options import MapFormat, OdometryName
 if TYPE_CHECKING:
     from heliograph.config import RunConfig
     from heliograph.io import Recording
-    from heliograph.output.run_folder import RunFolder
+    from heliograph.output.run_folder import MapAccumulator, RunFolder
 
 __all__ = ["execute", "run"]
 
@@ -105,12 +105,17 @@ def _folder(
 
     from heliograph.config_toml import dump_config
     from heliograph.maps import GlobalMap
+    from heliograph.output.background import BackgroundMap
     from heliograph.output.facts import plain, versions
     from heliograph.output.run_folder import RunFolder
-    from heliograph.pipeline import sensors_in_use
+    from heliograph.pipeline import sensors_in_use, thread_count
     from heliograph.report import write_report
 
     known_versions, name = versions(), paths[0].resolve().stem
+
+    def _map() -> MapAccumulator:
+        plain = GlobalMap(config.output.map_voxel)
+        return BackgroundMap(plain) if thread_count(config) > 1 else plain
 
     def facts() -> dict[str, Any]:
         recorded = plain(recording.summary())
@@ -122,7 +127,7 @@ def _folder(
         config=dump_config(config),
         body=config.output.body,
         T_imu_body=np.asarray(recording.transform(config.output.body)),
-        global_map=GlobalMap(config.output.map_voxel) if "lidar" in sensors_in_use(recording, config) else None,
+        global_map=_map() if "lidar" in sensors_in_use(recording, config) else None,
         map_format=config.output.map_format,
         facts=facts,
         finishers=(write_report,),

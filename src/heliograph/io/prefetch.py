@@ -13,7 +13,7 @@ T = TypeVar("T")
 _POLL_S = 0.1
 
 
-def prefetch(iterator: Iterator[T], depth: int = 4) -> Generator[T, None, None]:
+def prefetch(iterator: Iterator[T], depth: int = 8) -> Generator[T, None, None]:
     """Yield the items of ``iterator``, produced by a background thread at most ``depth`` ahead.
 
     Order is kept, an exception is raised again where it would have come, and closing the generator (or leaving its

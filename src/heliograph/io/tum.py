@@ -24,6 +24,7 @@ _MIN_NS, _MAX_NS = -(1 << 63), (1 << 63) - 1
 _PLAIN_SECONDS = re.compile(r"([+-]?)(\d+)\.(\d{1,9})")
 _ROW = "%s%d.%09d %.9f %.9f %.9f %.12f %.12f %.12f %.12f\n"
 _MAX_ROTATION_DEFECT = 1e-3
+_BATCH = 100  # calls whose rows are formatted together
 
 
 def _format_rows(stamps_ns: NDArray[np.int64], T_frame_body: NDArray[np.float64]) -> str:
@@ -60,6 +61,10 @@ class TumWriter:
 
     def __init__(self, path: Path | str, header: str) -> None:
         self._rows = RowFile(path, header="# " + " ".join(header.split()) + "\n")
+        self._stamps: list[
+            NDArray[np.int64]
+        ] = []  # not yet formatted: rows one by one would take several times as long
+        self._poses: list[NDArray[np.float64]] = []
 
     @property
     def path(self) -> Path:
@@ -77,15 +82,28 @@ class TumWriter:
         """
         if T_frame_body.shape != (len(stamps_ns), 4, 4):
             raise ValueError(f"poses have shape {T_frame_body.shape}, expected ({len(stamps_ns)}, 4, 4)")
-        self._rows.write(_format_rows(stamps_ns, T_frame_body))
+        self._stamps.append(stamps_ns.copy())
+        self._poses.append(T_frame_body.copy())
+        if len(self._stamps) >= _BATCH:
+            self._format()
 
     def flush(self) -> None:
         """Hand all rows so far to the operating system."""
+        self._format()
         self._rows.flush()
 
     def close(self) -> None:
         """Flush and release the file."""
-        self._rows.close()
+        try:
+            self._format()
+        finally:
+            self._rows.close()
+
+    def _format(self) -> None:
+        if self._stamps:
+            stamps, poses = np.concatenate(self._stamps), np.concatenate(self._poses)
+            self._stamps, self._poses = [], []
+            self._rows.write(_format_rows(stamps, poses))
 
     def __enter__(self) -> TumWriter:
         return self

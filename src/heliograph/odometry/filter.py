@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,8 @@ from heliograph.odometry.update import UpdateResult
 from heliograph.registration import NormalEquations
 
 __all__ = ["FilterCore"]
+
+S = TypeVar("S", bound=np.generic)
 
 # A correction smaller than this bends a sweep of 0.1 s by less than a millimetre, so its points need not be moved
 # again.
@@ -70,7 +73,7 @@ class FilterCore:
         watch.lap("predict")
 
         keep = range_gate(scan.points, self._config.cloud.min_range, self._config.cloud.max_range)
-        points, offsets = scan.points[keep], scan.offsets_ns[keep]
+        points, offsets = _taken(scan.points, keep), _taken(scan.offsets_ns, keep)
         picked = self._thinning.pick(points)
         watch.lap("thin")
 
@@ -86,7 +89,7 @@ class FilterCore:
             self._extend_map(points_imu, posterior, fit)  # (9)
         watch.lap("map")
 
-        intensity = scan.intensity[keep] if scan.intensity is not None else None
+        intensity = _taken(scan.intensity, keep) if scan.intensity is not None else None
         outcome = ScanOutcome(scan, posterior, path, points_imu, intensity, fit, len(picked))
         return self._conclude(outcome, watch)
 
@@ -183,6 +186,11 @@ def _same_sweep(prior: NavState, state: NavState) -> bool:
     rate = float(np.linalg.norm(state.gyro_bias - prior.gyro_bias))
     mounting = state.T_imu_lidar is prior.T_imu_lidar or bool(np.array_equal(state.T_imu_lidar, prior.T_imu_lidar))
     return mounting and speed < _SAME_SPEED and rate < _SAME_RATE
+
+
+def _taken(values: NDArray[S], keep: NDArray[np.int32]) -> NDArray[S]:
+    """Return ``values[keep]``; usually that is all of them."""
+    return values if len(keep) == len(values) else values.take(keep, axis=0)
 
 
 def _anchored(state: NavState) -> NavState:
