@@ -13,8 +13,9 @@ __all__ = ["range_gate", "voxel_downsample"]
 def voxel_downsample(points: NDArray[np.float32], leaf: float) -> NDArray[np.int32]:
     """Return the index of one finite point in each cube of edge ``leaf`` [m], (M,) int32 in the order of the cubes.
 
-    Which one is drawn by a hash of the coordinates, so that the points picked, and their order, do not depend on the order
-    in which a driver stores them, and favour no side of a surface.
+    Which one is drawn by a hash of the coordinates, so that the points picked, and their order, do not depend on the
+    order in which a driver stores them, and favour no side of a surface.
+
     A point is kept as measured rather than averaged: an average of a curved or mixed cube lies on no surface.
     """
     return np.asarray(_core.voxel_downsample(points, leaf))
