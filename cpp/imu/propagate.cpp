@@ -150,6 +150,13 @@ NavMatrix step_transition(const NavState& x, const Matrix3d& half_turn, const Ve
   return F;
 }
 
+// Coasting goes on as it went, whatever heading, biases and gravity are: their errors do not reach the velocity.
+NavMatrix coasting_transition(double dt) {
+  NavMatrix F = NavMatrix::Identity();
+  F.block<3, 3>(3, 6) = dt * Matrix3d::Identity();
+  return F;
+}
+
 void add_step_noise(NavMatrix& Q, double gyro_var, double accel_var, const ImuModel& model, double dt) {
   Q.diagonal().segment<3>(0).array() += gyro_var * dt;
   Q.diagonal().segment<3>(3).array() += accel_var * dt * dt * dt / 3.0;
@@ -188,7 +195,8 @@ Propagation propagate(const NavState& start, const ImuSamples& samples, int64_t 
     const bool held = signal.held(middle);
     Vector3d rate = reading.gyro - x.gyro_bias;
     Vector3d force = reading.accel - x.accel_bias;
-    if (held && signal.distance(middle) > model.hold_ns) {  // coast
+    const bool coasting = held && signal.distance(middle) > model.hold_ns;
+    if (coasting) {
       rate.setZero();
       force = -x.R_odom_imu.transpose() * x.g_odom;
     }
@@ -200,7 +208,7 @@ Propagation propagate(const NavState& start, const ImuSamples& samples, int64_t 
     const double missed = model.curvature * model.curvature * signal.period(middle) / 3.0;
     const double gyro_var = model.gyro_var + missed * change.gyro.squaredNorm() + (held ? model.held_gyro_var : 0.0);
     const double accel_var = model.accel_var + missed * change.accel.squaredNorm() + (held ? model.held_accel_var : 0.0);
-    const NavMatrix F = step_transition(x, half_turn, rate, force, dt);
+    const NavMatrix F = coasting ? coasting_transition(dt) : step_transition(x, half_turn, rate, force, dt);
     out.transition = F * out.transition;
     out.noise = F * out.noise * F.transpose();
     add_step_noise(out.noise, gyro_var, accel_var, model, dt);

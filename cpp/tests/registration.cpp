@@ -22,7 +22,7 @@ VoxelMap floor_map() {
   for (int i = 0; i < 100; ++i)
     for (int j = 0; j < 100; ++j)
       points.insert(points.end(), {0.1F * static_cast<float>(i) + 0.05F, 0.1F * static_cast<float>(j) + 0.05F, 0.2F});
-  map.insert(points, kIdentity);
+  map.insert(points, kIdentity, kIdentity);
   return map;
 }
 

@@ -209,6 +209,8 @@ class FilterConfig:
         Fewer matches make no update.
     vague_share : float
         After a vague prediction, a share of matched points below this part of the usual one makes no update.
+    lost_sigma : float
+        A scan that does not match while its position is known no better than this counts as lost [m].
     degenerate_translation, degenerate_rotation : float
         A per-measurement eigenvalue below it makes a direction count as blind.
     constant_velocity_accel, constant_velocity_gyro : float
@@ -230,6 +232,7 @@ class FilterConfig:
     fallback_stride: int = 2
     min_matches: int = 50
     vague_share: float = 0.6
+    lost_sigma: float = 3.0
     degenerate_translation: float = 0.01
     degenerate_rotation: float = 0.003
     constant_velocity_accel: float = 3.0

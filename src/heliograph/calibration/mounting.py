@@ -228,17 +228,17 @@ def _found(rig: Rig, duration: float) -> Event:
     angle = np.degrees(float(np.linalg.norm(so3.log(rig.T_imu_lidar[:3, :3]))))
     x, y, z = rig.T_imu_lidar[:3, 3]
     text = (
-        f"no transform links LiDAR and IMU: it was aligned from {duration:.0f} s of motion - rotation {angle:.1f} deg (+- "
-        f"{np.degrees(rig.sigma_rotation):.2f}), lever arm ({x:.3f}, {y:.3f}, {z:.3f}) m (+- {rig.sigma_translation:.3f}); "
-        f"give the true one with --extrinsic FILE or a /tf_static"
+        f"no transform links LiDAR and IMU: it was aligned from {duration:.0f} s of motion - rotation {angle:.1f} deg "
+        f"(+- {np.degrees(rig.sigma_rotation):.2f}), lever arm ({x:.3f}, {y:.3f}, {z:.3f}) m "
+        f"(+- {rig.sigma_translation:.3f}); give the true one with --extrinsic FILE or a /tf_static"
     )
     return Event(code="mounting-aligned", message=text)
 
 
 def _unknown(duration: float, why: str) -> MountingAlignment:
     text = (
-        f"no transform links LiDAR and IMU, and {why} in the first {duration:.0f} s, so it cannot be aligned; LiDAR and IMU "
-        f"are taken to be parallel with wide uncertainty - give the transform with --extrinsic FILE or a /tf_static"
+        f"no transform links LiDAR and IMU, and {why} in the first {duration:.0f} s, so it cannot be aligned; both are "
+        f"taken to be parallel with wide uncertainty - give the transform with --extrinsic FILE or a /tf_static"
     )
     rig = Rig(T_imu_lidar=np.eye(4), source="unknown", known=False, sigma_rotation=0.5, sigma_translation=_LEVER_SIGMA)
     return MountingAlignment(

@@ -15,7 +15,6 @@ def voxel_downsample(points: NDArray[np.float32], leaf: float) -> NDArray[np.int
 
     Which one is drawn by a hash of the coordinates, so that the points picked, and their order, do not depend on the
     order in which a driver stores them, and favour no side of a surface.
-
     A point is kept as measured rather than averaged: an average of a curved or mixed cube lies on no surface.
     """
     return np.asarray(_core.voxel_downsample(points, leaf))

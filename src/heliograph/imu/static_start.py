@@ -51,9 +51,9 @@ def assess_stillness(imu: ImuBatch, config: ImuConfig) -> StaticStart:
     """Judge whether the IMU rests throughout ``imu`` and measure its noise.
 
     At rest the gyroscope shows its bias and the accelerometer gravity, both constant up to white noise. Tested are the
-    spread of each channel, the mean rate, the length of the mean force, and the change of the mean from the first to the
-    second half, each against a limit of ``config``. A vehicle at constant speed on a smooth road passes all of these:
-    only the LiDAR can tell, so the filter asks it too.
+    spread of each channel, the mean rate, the length of the mean force, and the change of the mean from the first to
+    the second half, each against a limit of ``config``. A vehicle at constant speed on a smooth road passes all of
+    these: only the LiDAR can tell, so the filter asks it too.
 
     Raises
     ------
@@ -103,7 +103,8 @@ def _measured_noise(
     gyro_sigma: NDArray[np.float64], accel_sigma: NDArray[np.float64], period: float, config: ImuConfig
 ) -> ImuNoise:
     # White noise of density n sampled each T seconds has a standard deviation of n / sqrt(T). Rest shows neither scale
-    # errors nor vibration, so the density is not taken below a floor, and never above what is assumed of an unknown IMU.
+    # errors nor vibration, so the density is not taken below a floor, and never above what is assumed of an unknown
+    # IMU.
     root = float(np.sqrt(period))
     gyro = float(np.clip(gyro_sigma.mean() * root, config.gyro_noise_floor, config.gyro_noise))
     accel = float(np.clip(accel_sigma.mean() * root, config.accel_noise_floor, config.accel_noise))

@@ -43,13 +43,14 @@ class VoxelMap:
     ) -> float:
         """Add points (N, 3) of the body frame seen from the pose (4, 4) and return the new share of the cubes touched.
 
-        ``T_body_lidar`` (4, 4) is the mounting that they were brought into the body frame with; needed where it is estimated.
+        ``T_body_lidar`` (4, 4) is the mounting that they were brought into the body frame with; needed where it is
+        estimated.
         """
         mounting = np.eye(4) if T_body_lidar is None else np.ascontiguousarray(T_body_lidar)
         return float(self.native.insert(np.ascontiguousarray(points_body), np.ascontiguousarray(T_odom_body), mounting))
 
     def prune(self, centre_odom: NDArray[np.float64]) -> None:
-        """Forget cubes beyond ``config.radius`` of ``centre_odom`` (3,), and the farthest beyond ``config.max_voxels``."""
+        """Forget cubes beyond ``config.radius`` of ``centre_odom`` (3,), and the farthest of too many."""
         self.native.prune(np.ascontiguousarray(centre_odom), self.config.radius, self.config.max_voxels)
 
     def planes_at(self, points_odom: NDArray[np.float64], *, gate: float) -> PlaneMatches:

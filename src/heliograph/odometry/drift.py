@@ -3,9 +3,9 @@
 The filter's covariance is conditional on the map: it says how well the pose is known among the planes around it. Those
 planes were placed by earlier poses with errors of their own, and matching against them cannot tell. What a scan adds to
 the map inherits the error of its pose; so the frame that the map defines does a random walk, with a step for every new
-piece. A scan of which the share ``s`` is new adds ``s P`` to the frame's covariance, P being its pose's. Walking on over
-known ground adds nothing. Coming back to old ground would take drift away again; the walk does not credit that, so the
-account is cautious after a loop.
+piece. A scan of which the share ``s`` is new adds ``s P`` to the frame's covariance, P being its pose's. Walking on
+over known ground adds nothing. Coming back to old ground would take drift away again; the walk does not credit that, so
+the account is cautious after a loop.
 """
 
 from __future__ import annotations

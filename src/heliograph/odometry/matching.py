@@ -85,8 +85,8 @@ def register(
 
     ``points_at(state)`` gives them de-skewed, (N, 3) float32 [m], ``before_end`` (N,) how long before [s].
 
-    The kernel narrows down to ``config.kernel`` sigmas as the pose settles (graduated non-convexity in its simplest form),
-    so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
+    The kernel narrows down to ``config.kernel`` sigmas as the pose settles (graduated non-convexity in its simplest
+    form), so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
     """
     mounting = len(prior.covariance) > NAV_DIM
     kernel = _NarrowingKernel(_opening(prior, noise.sigma, config), config.kernel * noise.sigma)

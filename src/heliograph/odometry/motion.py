@@ -49,8 +49,8 @@ class MotionModel:
 def sweep_path(path: ImuPath, prior: NavState, state: NavState) -> ImuPath:
     """Return the motion within a sweep as ``state`` at its end has it, for de-skewing.
 
-    ``path`` was predicted with the velocity and gyroscope bias of ``prior``; an error of theirs grows backwards from the
-    sweep's end. Changing both here does to the points exactly what the Jacobian of the registration says it does.
+    ``path`` was predicted with the velocity and gyroscope bias of ``prior``; an error of theirs grows backwards from
+    the sweep's end. Changing both here does to the points exactly what the Jacobian of the registration says it does.
     """
     before = (path.stamps_ns[-1] - path.stamps_ns)[:, None] * 1e-9
     end = path.p_odom[-1]
@@ -67,7 +67,8 @@ def sweep_path(path: ImuPath, prior: NavState, state: NavState) -> ImuPath:
 def corrected_path(path: ImuPath, posterior: NavState) -> ImuPath:
     """Bend a predicted path so that it ends in the posterior.
 
-    It starts where the last update left it, so the correction grows linearly from nothing there to all of it at the end.
+    It starts where the last update left it, so the correction grows linearly from nothing there to all of it at the
+    end.
     """
     span = float(path.stamps_ns[-1] - path.stamps_ns[0])
     share = (path.stamps_ns - path.stamps_ns[0]) / span if span > 0.0 else np.ones(len(path.stamps_ns))

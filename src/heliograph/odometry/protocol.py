@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult
 from heliograph.errors import ConfigError, closest
-from heliograph.odometry.filter import FilterOdometry
+from heliograph.odometry.filter_odometry import FilterOdometry
 
 __all__ = ["Odometry", "make_odometry"]
 
 
 class Odometry(Protocol):
-    """Causal estimation: messages in the order in which they were received go in, results come out when they are ready."""
+    """Causal estimation: messages go in as they were received, results come out when they are ready."""
 
     events: list[Event]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -15,7 +15,7 @@ from heliograph.lie import interpolate_se3, se3
 from heliograph.odometry.update import UpdateResult
 from heliograph.registration import NormalEquations, Observability, observability
 
-__all__ = ["Stopwatch", "dead_reckoned", "scan_result"]
+__all__ = ["ScanOutcome", "Stopwatch", "dead_reckoned", "scan_result"]
 
 
 class Stopwatch:
@@ -32,37 +32,42 @@ class Stopwatch:
         self._last = now
 
 
+@dataclass(frozen=True, slots=True)
+class ScanOutcome:
+    """What processing a scan led to."""
+
+    scan: Scan
+    state: NavState
+    path: ImuPath
+    points_imu: NDArray[np.float32]
+    intensity: NDArray[np.float32] | None
+    fit: UpdateResult[NormalEquations] | None
+    queries: int
+
+
 def scan_result(
+    outcome: ScanOutcome,
     *,
     index: int,
-    scan: Scan,
-    state: NavState,
     pose_covariance: NDArray[np.float64],
-    path: ImuPath,
     history: ImuPath | None,
-    points_imu: NDArray[np.float32],
-    intensity: NDArray[np.float32] | None,
-    fit: UpdateResult[NormalEquations] | None,
-    queries: int,
     timings: dict[str, float],
     config: FilterConfig,
 ) -> ScanResult:
     """Put together the record of one scan; `history` is the path before this one, for stamps that reach back."""
-    trajectory = _trajectory(path)
-    T_header = _pose_at(_joined(history, path), scan.header_stamp_ns)
-    base = _base(index, state, pose_covariance, trajectory, timings)
+    scan, path, points_imu, fit = outcome.scan, outcome.path, outcome.points_imu, outcome.fit
     common = replace(
-        base,
+        _base(index, outcome.state, pose_covariance, _trajectory(path), timings),
         stamp_ns=scan.stamp_ns,
         header_stamp_ns=scan.header_stamp_ns,
-        T_odom_imu_header=T_header,
+        T_odom_imu_header=_pose_at(_joined(history, path), scan.header_stamp_ns),
         points_imu=points_imu,
-        intensity=intensity,
-        queries=queries,
+        intensity=outcome.intensity,
+        queries=outcome.queries,
         events=_held_events(path, scan),
     )
     if fit is None:
-        return replace(common, status="first" if index == 0 else "empty" if len(points_imu) == 0 else "predicted")
+        return replace(common, status=_status_without_match(outcome, index, pose_covariance, config))
     equations = fit.linearization
     mean_square = float(np.mean(np.einsum("ij,ij->i", points_imu, points_imu))) if len(points_imu) else 1.0
     seen = observability(equations, mean_square)
@@ -114,6 +119,16 @@ def _base(
         status="predicted",
         timings=timings,
     )
+
+
+def _status_without_match(
+    outcome: ScanOutcome, index: int, pose_covariance: NDArray[np.float64], config: FilterConfig
+) -> str:
+    if index == 0:
+        return "first"
+    if float(np.sqrt(np.linalg.eigvalsh(pose_covariance[3:, 3:])[-1])) > config.lost_sigma:
+        return "lost"
+    return "empty" if len(outcome.points_imu) == 0 else "predicted"
 
 
 def _blind(seen: Observability, config: FilterConfig) -> bool:

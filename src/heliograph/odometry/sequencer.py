@@ -84,7 +84,8 @@ class Sequencer:
     """Orders messages into packets.
 
     A scan is ready once an IMU sample at or after its end has come, or messages have run one IMU period and 50 ms past
-    it, or the stream has ended. Without an IMU it is ready at once; without a LiDAR packets are cut every ``interval_ns``.
+    it, or the stream has ended. Without an IMU it is ready at once; without a LiDAR packets are cut every
+    ``interval_ns``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The first second: does the sensor rest, which way is down, how fast does it move, what are the biases?"""
+"""The first second: whether the sensor rests, which way is down, how fast it moves, what the biases are."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from heliograph.data import Event, ImuBatch, NavState, Rig
 from heliograph.imu import StaticStart, assess_stillness
 from heliograph.imu.static_start import configured_noise
 from heliograph.lie import s2, so3
+from heliograph.odometry.filter import FilterCore
 from heliograph.odometry.motion import MotionModel
 from heliograph.odometry.sequencer import Packet
 
@@ -36,7 +37,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Motion:
-    """How the LiDAR alone saw the first scans: velocity and rate at their start, and velocity gained until their end."""
+    """How the LiDAR alone saw the first scans: velocity and rate at their start, and what velocity gained."""
 
     v_imu: Array
     rate_imu: Array
@@ -87,7 +88,7 @@ def find_start(packets: Sequence[Packet], imu: ImuBatch, rig: Rig, config: RunCo
 def _moving_event(begin_ns: int, rest: StaticStart, moved: _Motion | None) -> Event:
     why = rest.reason or f"the LiDAR moves at {moved.speed if moved else 0.0:.2f} m/s although the IMU is calm"
     text = (
-        f"the recording starts in motion ({why}); gravity, velocity and biases start from the first second of motion with "
+        f"the recording starts in motion ({why}); gravity, velocity and biases start from the first second of it, with "
         f"wide uncertainty - begin a recording with 2 s at rest for the best start"
     )
     return Event(code="start-moving", message=text, stamp_ns=begin_ns)
@@ -118,7 +119,8 @@ def _set_block(state: NavState, first: int, sigma: float) -> None:
 def _constant_velocity_state(
     stamp_ns: int, v: Array, rate: Array, v_sigma: float, rate_sigma: float, rig: Rig
 ) -> NavState:
-    # See MotionModel: the imaginary gyroscope's bias is minus the body rate. The mounting is unobservable without an IMU.
+    # See MotionModel: the imaginary gyroscope's bias is minus the body rate. The mounting is unobservable without an
+    # IMU.
     state = _blank_state(stamp_ns, replace(rig, known=True))
     _set_block(state, 6, v_sigma)
     _set_block(state, 9, rate_sigma)
@@ -140,9 +142,7 @@ def _without_imu(begin_ns: int, end_ns: int, moved: _Motion | None, rig: Rig, co
 
 
 def _lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: int) -> _Motion | None:
-    """Run the constant-velocity filter over the first scans twice: the second time its map is de-skewed from the start."""
-    from heliograph.odometry.filter import FilterCore  # the filter starts itself with this: a cycle by nature
-
+    """Run the constant-velocity filter over the first scans, and again with its first map de-skewed."""
     scans = [packet.scan for packet in packets if packet.scan is not None and len(packet.scan) > 0]
     if len(scans) < 3:
         return None
@@ -163,7 +163,7 @@ def _lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads:
 
 
 def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> _Motion:
-    """Fit a parabola to positions and rotation vectors; what it says at the first scan's start is the start's motion."""
+    """Fit parabolas to positions and rotation vectors, and read them at the first scan's start."""
     t = (stamps_ns - begin_ns) * 1e-9
     degree = 2 if len(t) >= 5 else 1
     turns = so3.log(T[0, :3, :3].T @ T[:, :3, :3])

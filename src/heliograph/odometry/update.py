@@ -2,8 +2,8 @@
 
 With H the stacked Jacobian, R the measurement noise and P the prior around the current iterate, the textbook gain is
 ``P H^T (H P H^T + R)^-1``, an inverse as large as the number of points. The matrix inversion lemma turns it into
-``(I + P A)^-1 P H^T R^-1`` with the information ``A = H^T R^-1 H`` of the size of the state (W. Xu, F. Zhang, "FAST-LIO",
-RA-L 2021, eq. 20). Written so, P may be singular: a state known exactly stays so.
+``(I + P A)^-1 P H^T R^-1`` with the information ``A = H^T R^-1 H`` of the size of the state (W. Xu, F. Zhang,
+"FAST-LIO", RA-L 2021, eq. 20). Written so, P may be singular: a state known exactly stays so.
 """
 
 from __future__ import annotations
@@ -93,7 +93,8 @@ def iterated_update(
     for iteration in range(max_iterations):
         measurement = linearize(state, iteration)
         A, b = _embed(measurement, dim)
-        # The prior seen from the iterate: its mean lies at -offset, its covariance is carried over by the reset Jacobian.
+        # The prior seen from the iterate: its mean lies at -offset, its covariance is carried over by the reset
+        # Jacobian.
         offset = local(prior, state)
         J = reset_jacobian(prior, offset)
         P = J @ prior.covariance @ J.T

@@ -20,7 +20,8 @@ class Observability:
     ----------
     rotation, translation : (3,) float64
         Ascending, without unit. Those of translation sum to 1: the mean of ``n n^T``. Those of rotation are of the mean
-        of ``(p x n)(p x n)^T`` divided by the mean square of the points' distances, so that they do not grow with range.
+        of ``(p x n)(p x n)^T`` divided by the mean square of the points' distances, so that they do not grow with
+        range.
     rotation_directions, translation_directions : (3, 3) float64
         Eigenvectors as columns: of rotation in the imu frame, of translation in the odom frame.
     """

@@ -102,12 +102,12 @@ def linearize(
 ) -> NormalEquations:
     """Match points to the map at a pose and return the normal equations of the residuals.
 
-    Jacobians are by right perturbations: ``J_rotation = (p x R^T n)``, ``J_position = n``. For the motion, with the point
-    measured ``dt`` before the sweep's end, ``J_velocity = -dt n`` and ``J_gyro_bias = dt J_rotation``: de-skewing has
-    carried it forward by both. For the mounting, with ``p_l`` the point in the lidar frame and ``m = R^T n``,
-    ``(p_l x R_il^T m)`` and ``m``, less the same at the map's very first pose: an error of the mounting moves the whole map
-    by what it did there, and only the difference shows. These neglect the motion within the sweep. Each match has the variance ``sigma^2``
-    plus its plane's own at the query.
+    Jacobians are by right perturbations: ``J_rotation = (p x R^T n)``, ``J_position = n``. For the motion, with the
+    point measured ``dt`` before the sweep's end, ``J_velocity = -dt n`` and ``J_gyro_bias = dt J_rotation``: de-skewing
+    has carried it forward by both. For the mounting, with ``p_l`` the point in the lidar frame and ``m = R^T n``,
+    ``(p_l x R_il^T m)`` and ``m``, less the same at the map's very first pose: an error of the mounting moves the whole
+    map by what it did there, and only the difference shows. These neglect the motion within the sweep. Each match has
+    the variance ``sigma^2`` plus its plane's own at the query.
 
     Parameters
     ----------

@@ -166,10 +166,10 @@ def test_zero_interval_changes_nothing(rng):
     assert path.held_s == 0.0
 
 
-def test_single_sample_is_enough(rng):
+def test_single_sample_is_held_for_a_while_then_the_body_coasts(rng):
     imu = constant_imu([0.1, 0.2, 0.3], [0, 0, GRAVITY], duration=0.0)
     moved, path = propagate(rest_state(), imu, END_NS, noise=NOISE, config=CONFIG)
-    np.testing.assert_allclose(so3.log(moved.R_odom_imu), 0.25 * np.array([0.1, 0.2, 0.3]), atol=1e-12)
+    np.testing.assert_allclose(so3.log(moved.R_odom_imu), CONFIG.hold * np.array([0.1, 0.2, 0.3]), atol=1e-12)
     assert path.held_s == pytest.approx(0.25)
 
 
@@ -180,3 +180,17 @@ def test_propagation_refuses_what_it_cannot_do(rng):
     empty = replace(imu, stamps_ns=imu.stamps_ns[:0], gyro=imu.gyro[:0], accel=imu.accel[:0])
     with pytest.raises(DataError, match="no IMU sample"):
         propagate(state, empty, END_NS, noise=NOISE, config=CONFIG)
+
+
+def test_coasting_keeps_velocity_and_heading_whatever_else_is_uncertain(rng):
+    """No sample for a second: neither a bias nor a tilt may reach the velocity, only the noise of not knowing."""
+    state = random_state(rng)
+    imu = constant_imu([1.0, 2.0, 3.0], [4.0, 5.0, 6.0], duration=0.0)
+    late = START_NS + 10**9
+    begun, _ = propagate(state, imu, late, noise=NOISE, config=CONFIG)
+    moved, _ = propagate(begun, imu, late + 10**9, noise=NOISE, config=CONFIG)
+    np.testing.assert_allclose(moved.R_odom_imu, begun.R_odom_imu, atol=1e-14)
+    np.testing.assert_allclose(moved.v_odom, begun.v_odom, atol=1e-12)
+    np.testing.assert_allclose(moved.p_odom, begun.p_odom + begun.v_odom, atol=1e-9)
+    grown = moved.covariance[6:9, 6:9] - begun.covariance[6:9, 6:9]
+    np.testing.assert_allclose(grown, (CONFIG.held_accel_noise**2 + NOISE.accel**2) * np.eye(3), rtol=1e-9, atol=1e-12)

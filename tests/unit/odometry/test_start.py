@@ -87,7 +87,7 @@ def test_static_start_gyro_bias_sigma_covers_its_error():
 def test_mounting_is_estimated_only_where_it_is_uncertain(rng):
     imu = resting_imu(rng, up=np.array([0.0, 0.0, 1.0]), gyro_bias=np.zeros(3), accel_bias=np.zeros(3))
     assert start_of(imu).state.covariance.shape == (17, 17)
-    unsure = replace(RIG, sigma_rotation=0.02, sigma_translation=0.1)
+    unsure = replace(RIG, known=False, sigma_rotation=0.02, sigma_translation=0.1)
     P = start_of(imu, unsure).state.covariance
     np.testing.assert_allclose(np.diag(P)[17:], [4e-4] * 3 + [1e-2] * 3)
 

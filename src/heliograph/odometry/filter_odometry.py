@@ -1,0 +1,96 @@
+"""The filter as an `Odometry`: messages in, results out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.config import RunConfig
+from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult
+from heliograph.lie import so3
+from heliograph.maps import LocalMap
+from heliograph.odometry.filter import FilterCore
+from heliograph.odometry.sequencer import Packet, Sequencer
+from heliograph.odometry.start import find_start
+
+__all__ = ["FilterOdometry"]
+
+
+class FilterOdometry:
+    """The filter as an `Odometry`: it gathers the first second, finds a start, and then steps scan by scan.
+
+    Parameters
+    ----------
+    config : RunConfig
+    rig : Rig
+        Mounting; where it is uncertain, it is estimated along.
+    sensors : frozenset of str
+        ``"lidar"``, ``"imu"`` or both.
+    threads : int
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        rig: Rig,
+        *,
+        sensors: frozenset[str],
+        threads: int = 1,
+        local_map: LocalMap | None = None,
+    ) -> None:
+        self.events: list[Event] = []
+        self.core: FilterCore | None = None
+        self._config, self._rig, self._threads, self._local_map = config, rig, threads, local_map
+        self._sensors = sensors & {"lidar", "imu"}
+        self._sequencer = Sequencer(self._sensors)
+        self._waiting: list[Packet] = []
+
+    def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
+        """Take one message and return the results that it made ready."""
+        return self._advance(self._sequencer.add(message), ended=False)
+
+    def finish(self) -> list[ScanResult]:
+        """Return the results still waiting."""
+        return self._advance(self._sequencer.finish(), ended=True)
+
+    def leveling(self) -> NDArray[np.float64]:
+        """Return ``T_leveled_odom`` (4, 4): the smallest rotation that lets the latest gravity point down."""
+        T = np.eye(4)
+        if self.core is not None and np.linalg.norm(self.core.state.g_odom) > 0.0:
+            T[:3, :3] = so3.from_two_vectors(self.core.state.g_odom, np.array([0.0, 0.0, -1.0]))
+        return T
+
+    def _advance(self, packets: list[Packet], *, ended: bool) -> list[ScanResult]:
+        self._waiting += packets
+        if self.core is None and not self._start(ended=ended):
+            return []
+        results = [self._step(packet) for packet in self._waiting]
+        self._waiting = []
+        self.events += self._sequencer.events
+        self._sequencer.events = []
+        return results
+
+    def _start(self, *, ended: bool) -> bool:
+        if not self._waiting:
+            return False
+        first = self._waiting[0]
+        begin_ns = first.scan.stamp_ns if first.scan is not None else first.end_ns
+        if not ended and (self._waiting[-1].end_ns - begin_ns) * 1e-9 < self._config.imu.start_window:
+            return False
+        imu = self._sequencer.imu.everything()
+        start = find_start(self._waiting, imu, self._rig, self._config, threads=self._threads)
+        self.events += start.events
+        self.core = FilterCore(
+            start.state, start.motion, self._config, local_map=self._local_map, threads=self._threads
+        )
+        return True
+
+    def _step(self, packet: Packet) -> ScanResult:
+        assert self.core is not None
+        imu = self._sequencer.imu.between(self.core.state.stamp_ns, packet.end_ns)
+        if packet.scan is not None:
+            result = self.core.process(packet.scan, imu)
+        else:
+            result = self.core.dead_reckon(packet.end_ns, imu)
+        self._sequencer.imu.forget_before(self.core.state.stamp_ns)
+        return result
