@@ -2,8 +2,13 @@
 #include "maps/point_grid.hpp"
 
 #include <algorithm>
+#include <array>
 
 namespace heliograph {
+
+namespace {
+constexpr size_t kBatch = 16;
+}  // namespace
 
 PointGrid::Place PointGrid::place(const double* p) const {
   const Cube cube{floor_index(p[0] / size_), floor_index(p[1] / size_), floor_index(p[2] / size_)};
@@ -15,27 +20,47 @@ PointGrid::Place PointGrid::place(const double* p) const {
 
 bool PointGrid::has_room(const PointBucket& bucket, const float* xyz) const {
   if (bucket.count == kBucketSize) return false;
-  for (uint32_t k = 0; k < bucket.count; ++k) {
-    const float* other = bucket.xyz + 3 * k;
-    const float dx = other[0] - xyz[0], dy = other[1] - xyz[1], dz = other[2] - xyz[2];
-    if (dx * dx + dy * dy + dz * dz < spacing2_) return false;
+  float d2[kBucketSize];
+  for (int k = 0; k < kBucketSize; ++k) {  // all of them, so that the loop vectorises
+    const float dx = bucket.x[k] - xyz[0], dy = bucket.y[k] - xyz[1], dz = bucket.z[k] - xyz[2];
+    d2[k] = dx * dx + dy * dy + dz * dz;
   }
+  for (uint32_t k = 0; k < bucket.count; ++k)
+    if (d2[k] < spacing2_) return false;
   return true;
 }
 
-bool PointGrid::accepts(const double* p) const {
-  const Place at = place(p);
-  const uint32_t* id = index_.find(at.key);
-  return id == nullptr || has_room(buckets_[*id], at.xyz);
+void PointGrid::accepts(std::span<const double* const> points, bool* answers) const {
+  std::array<Place, kBatch> places;
+  std::array<const FlatIndex::Slot*, kBatch> slots;
+  for (size_t begin = 0; begin < points.size(); begin += kBatch) {
+    const size_t batch = std::min(kBatch, points.size() - begin);
+    for (size_t k = 0; k < batch; ++k) {
+      places[k] = place(points[begin + k]);
+      index_.prefetch(places[k].key);
+    }
+    for (size_t k = 0; k < batch; ++k) {
+      slots[k] = index_.find(places[k].key);
+      if (slots[k] == nullptr || slots[k]->full != 0) continue;
+      const auto* lines = reinterpret_cast<const char*>(buckets_.data() + slots[k]->value);
+      for (size_t at = 0; at < sizeof(PointBucket); at += 64) __builtin_prefetch(lines + at);
+    }
+    for (size_t k = 0; k < batch; ++k)
+      answers[begin + k] =
+          slots[k] == nullptr || (slots[k]->full == 0 && has_room(buckets_[slots[k]->value], places[k].xyz));
+  }
 }
 
 void PointGrid::insert(const double* p) {
   const Place at = place(p);
-  const auto [id, is_new] = index_.insert(at.key, static_cast<uint32_t>(buckets_.size()));
-  if (is_new) buckets_.push_back({at.key, 0, {}});
-  PointBucket& bucket = buckets_[id];
+  const auto [slot, is_new] = index_.place(at.key, static_cast<uint32_t>(buckets_.size()));
+  if (is_new) buckets_.push_back({at.key, 0, {}, {}, {}});
+  PointBucket& bucket = buckets_[slot->value];
   if (!has_room(bucket, at.xyz)) return;
-  std::copy(at.xyz, at.xyz + 3, bucket.xyz + 3 * bucket.count++);
+  bucket.x[bucket.count] = at.xyz[0];
+  bucket.y[bucket.count] = at.xyz[1];
+  bucket.z[bucket.count] = at.xyz[2];
+  if (++bucket.count == kBucketSize) slot->full = 1;
 }
 
 void PointGrid::prune(const double* centre, double radius) {
@@ -47,7 +72,7 @@ void PointGrid::prune(const double* centre, double radius) {
     const double dy = (static_cast<double>(cube.y) + 0.5) * size_ - centre[1];
     const double dz = (static_cast<double>(cube.z) + 0.5) * size_ - centre[2];
     if (dx * dx + dy * dy + dz * dz > radius * radius) continue;
-    index.insert(bucket.key, static_cast<uint32_t>(kept.size()));
+    index.place(bucket.key, static_cast<uint32_t>(kept.size())).first->full = bucket.count == kBucketSize ? 1 : 0;
     kept.push_back(bucket);
   }
   buckets_ = std::move(kept);

@@ -2,6 +2,7 @@
 // A sparse grid of a few well-spread raw points a cube, for nearest-neighbour queries where no plane is known.
 #pragma once
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "util/flat_index.hpp"
@@ -14,17 +15,18 @@ constexpr uint64_t kPointLevel = 15;
 struct PointBucket {
   uint64_t key;
   uint32_t count;
-  float xyz[3 * kBucketSize];  // relative to the cube's centre
+  float x[kBucketSize], y[kBucketSize], z[kBucketSize];  // relative to the cube's centre
 };
 
 class PointGrid {
  public:
   PointGrid(double size, double spacing) : size_(size), spacing2_(static_cast<float>(spacing * spacing)) {}
 
-  // Whether the cube of a point (odom frame) is neither full nor holds a point nearer than the spacing.
-  bool accepts(const double* p) const;
+  // For each of some points (odom frame), whether its cube is neither full nor holds a point nearer than the spacing.
+  // Answers together what would be slow one by one: the table is larger than any cache.
+  void accepts(std::span<const double* const> points, bool* answers) const;
 
-  // Adds a point if it is accepted.
+  // Adds a point if it would be accepted.
   void insert(const double* p);
 
   // Keeps the cubes whose centre lies within `radius` of `centre`.

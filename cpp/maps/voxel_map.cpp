@@ -3,8 +3,9 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <limits>
+#include <memory>
 #include <stdexcept>
 
 #include "util/point_rank.hpp"
@@ -13,22 +14,12 @@ namespace heliograph {
 
 namespace {
 
+constexpr size_t kBatch = 16;
+constexpr uint32_t kFull = ~uint32_t{0};
 // About a millimetre at 10 m: de-skewing the same point from another driver's message differs by less.
 constexpr int kRankBits = 10;
 
 }  // namespace
-
-// What one scan adds to one finest cube. Gathering first means that the large tables are touched once a cube, not once a
-// point and level.
-struct VoxelMap::Delta {
-  uint64_t key;
-  Cube cube;
-  float count = 0.0F;
-  float sum[3] = {0.0F, 0.0F, 0.0F};
-  float outer[6] = {0.0F, 0.0F, 0.0F, 0.0F, 0.0F, 0.0F};
-  uint32_t rank = std::numeric_limits<uint32_t>::max();
-  double raw[3] = {0.0, 0.0, 0.0};  // the point that stands for the others in the fallback's grid
-};
 
 VoxelMap::VoxelMap(const VoxelMapSettings& settings)
     : settings_(settings), points_(settings.levels > 1 ? 2.0 * settings.voxel : settings.voxel, settings.point_spacing) {
@@ -36,56 +27,72 @@ VoxelMap::VoxelMap(const VoxelMapSettings& settings)
     throw std::invalid_argument("a voxel map needs a positive voxel and 1 to 8 levels");
 }
 
-std::vector<VoxelMap::Delta> VoxelMap::gather(std::span<const float> points_body, const double* T) {
+void VoxelMap::gather(std::span<const float> points_body, const double* T) {
   const double inverse = 1.0 / settings_.voxel;
-  FlatIndex seen(15);
-  std::vector<Delta> deltas;
-  deltas.reserve(points_body.size() / 24);
-  for (size_t k = 0; k + 2 < points_body.size(); k += 3) {
-    const double x = points_body[k], y = points_body[k + 1], z = points_body[k + 2];
-    if (!std::isfinite(x + y + z)) continue;
-    const double q[3] = {T[0] * x + T[1] * y + T[2] * z + T[3], T[4] * x + T[5] * y + T[6] * z + T[7],
-                         T[8] * x + T[9] * y + T[10] * z + T[11]};
-    const Cube cube{floor_index(q[0] * inverse), floor_index(q[1] * inverse),
-                    floor_index(q[2] * inverse)};
-    const uint64_t key = pack(0, cube);
-    const auto [id, is_new] = seen.insert(key, static_cast<uint32_t>(deltas.size()));
-    if (is_new) deltas.push_back({.key = key, .cube = cube});
-    Delta& d = deltas[id];
-    if (const uint32_t rank = point_rank(points_body.data() + k, kRankBits); is_new || rank < d.rank) {
-      d.rank = rank;
-      std::copy(q, q + 3, d.raw);
+  const size_t count = points_body.size() / 3;
+  seen_.clear();
+  deltas_.clear();
+  std::array<Spot, kBatch> spots;
+  for (size_t begin = 0; begin < count; begin += kBatch) {
+    const size_t batch = std::min(kBatch, count - begin);
+    for (size_t k = 0; k < batch; ++k) {
+      const float* p = points_body.data() + 3 * (begin + k);
+      const double x = p[0], y = p[1], z = p[2];
+      Spot& spot = spots[k];
+      spot.key = kNoKey;
+      if (!std::isfinite(x + y + z)) continue;
+      for (int i = 0; i < 3; ++i) spot.q[i] = T[4 * i] * x + T[4 * i + 1] * y + T[4 * i + 2] * z + T[4 * i + 3];
+      spot.cube = {floor_index(spot.q[0] * inverse), floor_index(spot.q[1] * inverse), floor_index(spot.q[2] * inverse)};
+      spot.key = pack(0, spot.cube);
+      spot.rank = point_rank(p, kRankBits);
+      seen_.prefetch(spot.key);
     }
-    const float u = static_cast<float>(q[0] - (static_cast<double>(cube.x) + 0.5) * settings_.voxel);
-    const float v = static_cast<float>(q[1] - (static_cast<double>(cube.y) + 0.5) * settings_.voxel);
-    const float w = static_cast<float>(q[2] - (static_cast<double>(cube.z) + 0.5) * settings_.voxel);
-    d.count += 1.0F;
-    d.sum[0] += u;
-    d.sum[1] += v;
-    d.sum[2] += w;
-    d.outer[0] += u * u;
-    d.outer[1] += u * v;
-    d.outer[2] += u * w;
-    d.outer[3] += v * v;
-    d.outer[4] += v * w;
-    d.outer[5] += w * w;
+    for (size_t k = 0; k < batch; ++k)
+      if (spots[k].key != kNoKey) collect(spots[k]);
   }
-  return deltas;
 }
 
-// Returns whether the cube is new.
-bool VoxelMap::add(const Delta& delta, uint64_t level) {
-  const Cube cube{delta.cube.x >> level, delta.cube.y >> level, delta.cube.z >> level};
-  const uint64_t key = pack(level, cube);
-  const auto [id, is_new] = index_.insert(key, static_cast<uint32_t>(planes_.size()));
+void VoxelMap::collect(const Spot& spot) {
+  const auto [id, is_new] = seen_.insert(spot.key, static_cast<uint32_t>(deltas_.size()));
+  if (is_new) deltas_.push_back({.key = spot.key, .cube = spot.cube});
+  Delta& d = deltas_[id];
+  if (is_new || spot.rank < d.rank) {
+    d.rank = spot.rank;
+    std::copy(spot.q, spot.q + 3, d.raw);
+  }
+  const double voxel = settings_.voxel;
+  const float u = static_cast<float>(spot.q[0] - (static_cast<double>(spot.cube.x) + 0.5) * voxel);
+  const float v = static_cast<float>(spot.q[1] - (static_cast<double>(spot.cube.y) + 0.5) * voxel);
+  const float w = static_cast<float>(spot.q[2] - (static_cast<double>(spot.cube.z) + 0.5) * voxel);
+  d.count += 1.0F;
+  d.sum[0] += u;
+  d.sum[1] += v;
+  d.sum[2] += w;
+  d.outer[0] += u * u;
+  d.outer[1] += u * v;
+  d.outer[2] += u * w;
+  d.outer[3] += v * v;
+  d.outer[4] += v * w;
+  d.outer[5] += w * w;
+}
+
+// The cube of a key, made if it is new, and counted in `created` then; kFull where nothing more goes in.
+uint32_t VoxelMap::locate(uint64_t key, size_t* created) {
+  const auto [slot, is_new] = index_.place(key, static_cast<uint32_t>(planes_.size()));
+  if (slot->full != 0) return kFull;
   if (is_new) {
     planes_.push_back({{0, 0, 0}, {0, 0, 0}, -1.0F, 0.0F});
-    moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, false});
+    moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0});
     born_.push_back(static_cast<uint32_t>(mountings_.size() / 12 - 1));
+    ++*created;
   }
+  return slot->value;
+}
+
+void VoxelMap::add(const Delta& delta, uint64_t key, uint32_t id) {
   Moments& m = moments_[id];
-  if (m.frozen) return false;
-  const double fine = settings_.voxel, coarse = edge(level);
+  const double fine = settings_.voxel, coarse = edge(key_level(key));
+  const Cube cube = unpack(key);
   const float d[3] = {
       static_cast<float>((static_cast<double>(delta.cube.x) + 0.5) * fine - (static_cast<double>(cube.x) + 0.5) * coarse),
       static_cast<float>((static_cast<double>(delta.cube.y) + 0.5) * fine - (static_cast<double>(cube.y) + 0.5) * coarse),
@@ -97,14 +104,50 @@ bool VoxelMap::add(const Delta& delta, uint64_t level) {
   int k = 0;
   for (int i = 0; i < 3; ++i)
     for (int j = i; j < 3; ++j, ++k) m.outer[k] += delta.outer[k] + s[i] * d[j] + d[i] * s[j] + n * d[i] * d[j];
-  touched_.push_back(id);
-  return is_new;
+  const auto insertion = static_cast<uint32_t>(mountings_.size() / 12);
+  if (m.touched != insertion) touched_.push_back(id);
+  m.touched = insertion;
+}
+
+// Adds a few deltas on all levels and returns how many of the coarsest cubes were new. The tables are larger than any
+// cache: asking for all the memory first and using it later lets the waits overlap.
+size_t VoxelMap::add_batch(std::span<const Delta> deltas) {
+  std::array<uint64_t, 8 * kBatch> keys;
+  std::array<uint32_t, 8 * kBatch> ids;
+  const auto levels = static_cast<uint64_t>(settings_.levels);
+  size_t count = 0, created = 0, finer = 0;
+  for (const Delta& delta : deltas) {
+    for (uint64_t level = 0; level < levels; ++level) {
+      keys[count] = pack(level, {delta.cube.x >> level, delta.cube.y >> level, delta.cube.z >> level});
+      index_.prefetch(keys[count++]);
+    }
+  }
+  for (size_t k = 0; k < count; ++k) {
+    ids[k] = locate(keys[k], (k + 1) % levels == 0 ? &created : &finer);
+    if (ids[k] != kFull) __builtin_prefetch(moments_.data() + ids[k], 1);
+  }
+  for (size_t k = 0; k < count; ++k)
+    if (ids[k] != kFull) add(deltas[k / levels], keys[k], ids[k]);
+  return created;
+}
+
+// Raw points turn their neighbours away, so their order counts: it is that of space, not that of the driver.
+void VoxelMap::add_raw_points() {
+  std::vector<const double*> raw(deltas_.size());
+  std::transform(deltas_.begin(), deltas_.end(), raw.begin(), [](const Delta& delta) { return delta.raw; });
+  const auto accepted = std::make_unique<bool[]>(raw.size());
+  points_.accepts(raw, accepted.get());
+  std::vector<std::pair<uint64_t, const double*>> chosen;
+  for (size_t k = 0; k < raw.size(); ++k)
+    if (accepted[k]) chosen.emplace_back(deltas_[k].key, raw[k]);
+  std::sort(chosen.begin(), chosen.end());
+  for (const auto& [key, point] : chosen) points_.insert(point);
 }
 
 void VoxelMap::refit(uint32_t id) {
   Moments& m = moments_[id];
   // Only now, so that it does not matter in which order the insertion's points came.
-  m.frozen = m.count >= static_cast<float>(settings_.max_points);
+  if (m.count >= static_cast<float>(settings_.max_points)) index_.place(m.key, id).first->full = 1;
   // A plane barely changes while its cube gains less than a quarter of its points.
   if (m.count < static_cast<float>(settings_.min_points) || m.count < 1.25F * m.fitted) return;
   m.fitted = m.count;
@@ -135,27 +178,30 @@ void VoxelMap::refit(uint32_t id) {
 }
 
 double VoxelMap::insert(std::span<const float> points_body, const double* T_odom_body, const double* T_body_lidar) {
-  const std::vector<Delta> deltas = gather(points_body, T_odom_body);
+  gather(points_body, T_odom_body);
   touched_.clear();
   if (anchor_.empty()) anchor_.assign(T_odom_body, T_odom_body + 12);
   mountings_.insert(mountings_.end(), T_body_lidar, T_body_lidar + 12);
-  FlatIndex coarse(12);
   size_t created = 0;
-  const auto top = static_cast<uint64_t>(settings_.levels - 1);
-  std::vector<std::pair<uint64_t, uint32_t>> raw;
-  for (size_t k = 0; k < deltas.size(); ++k) {
-    const Delta& delta = deltas[k];
-    for (uint64_t level = 0; level < top; ++level) add(delta, level);
-    created += add(delta, top) ? 1 : 0;
-    coarse.insert(pack(top, {delta.cube.x >> top, delta.cube.y >> top, delta.cube.z >> top}), 0);
-    if (points_.accepts(delta.raw)) raw.emplace_back(delta.key, static_cast<uint32_t>(k));
-  }
-  // Raw points turn their neighbours away, so their order counts: it is that of space, not that of the driver.
-  std::sort(raw.begin(), raw.end());
-  for (const auto& [key, at] : raw) points_.insert(deltas[at].raw);
-  // A cube that several deltas reached is listed as often; its second refit finds nothing new to do.
+  for (size_t begin = 0; begin < deltas_.size(); begin += kBatch)
+    created += add_batch(std::span<const Delta>(deltas_).subspan(begin, std::min(kBatch, deltas_.size() - begin)));
+  add_raw_points();
   for (const uint32_t id : touched_) refit(id);
-  return coarse.size() == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(coarse.size());
+  const size_t surroundings = coarse_cubes();
+  return surroundings == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(surroundings);
+}
+
+// How many of the coarsest cubes the deltas reach.
+size_t VoxelMap::coarse_cubes() {
+  const auto top = static_cast<uint64_t>(settings_.levels - 1);
+  seen_.clear();
+  uint64_t last = kNoKey;  // neighbouring points come one after the other
+  for (const Delta& delta : deltas_) {
+    const uint64_t key = pack(top, {delta.cube.x >> top, delta.cube.y >> top, delta.cube.z >> top});
+    if (key != last) seen_.insert(key, 0);
+    last = key;
+  }
+  return seen_.size();
 }
 
 void VoxelMap::prune(const double* centre, double radius, size_t max_voxels) {
@@ -182,7 +228,8 @@ void VoxelMap::prune(const double* centre, double radius, size_t max_voxels) {
     planes_[kept] = planes_[id];
     moments_[kept] = moments_[id];
     born_[kept] = born_[id];
-    index.insert(moments_[kept].key, static_cast<uint32_t>(kept));
+    const bool full = moments_[kept].count >= static_cast<float>(settings_.max_points);
+    index.place(moments_[kept].key, static_cast<uint32_t>(kept)).first->full = full ? 1 : 0;
     ++kept;
   }
   planes_.resize(kept);

@@ -34,7 +34,7 @@ struct Moments {
   float fitted;        // count at the last fit
   float sum[3];        // relative to the cube's centre
   float outer[6];      // xx xy xz yy yz zz
-  bool frozen;         // full at the end of an insertion: takes no more
+  uint32_t touched;    // number of the last insertion that added to it
 };
 
 class VoxelMap {
@@ -64,16 +64,40 @@ class VoxelMap {
   const PointGrid& points() const { return points_; }
 
  private:
-  struct Delta;
-  std::vector<Delta> gather(std::span<const float> points_body, const double* T_odom_body);
-  bool add(const Delta& delta, uint64_t level);
+  // What one scan adds to one finest cube. Gathering first means that the large tables are touched once a cube, not once
+  // a point and level.
+  struct Delta {
+    uint64_t key;
+    Cube cube;
+    float count = 0.0F;
+    float sum[3] = {0.0F, 0.0F, 0.0F};
+    float outer[6] = {0.0F, 0.0F, 0.0F, 0.0F, 0.0F, 0.0F};
+    uint32_t rank = ~uint32_t{0};
+    double raw[3] = {0.0, 0.0, 0.0};  // the point that stands for the others in the fallback's grid
+  };
+  struct Spot {
+    double q[3];  // odom frame
+    Cube cube;
+    uint64_t key;  // kNoKey: not a point
+    uint32_t rank;
+  };
+  void gather(std::span<const float> points_body, const double* T_odom_body);
+  void collect(const Spot& spot);
+  size_t add_batch(std::span<const Delta> deltas);
+  uint32_t locate(uint64_t key, size_t* created);
+  void add(const Delta& delta, uint64_t key, uint32_t id);
+  void add_raw_points();
   void refit(uint32_t id);
+  size_t coarse_cubes();
 
   VoxelMapSettings settings_;
   FlatIndex index_;
   std::vector<Plane> planes_;
   std::vector<Moments> moments_;
   PointGrid points_;
+  // Of one insertion; kept because fresh memory costs more than what is done with it.
+  FlatIndex seen_{15};
+  std::vector<Delta> deltas_;
   std::vector<uint32_t> touched_;
   std::vector<uint32_t> born_;
   std::vector<double> anchor_;

@@ -78,6 +78,7 @@ inline bool try_plane(const MapView& map, int level, const int64_t* c, const dou
 
 // The finest plane whose cube holds q and whose distance passes the gate.
 inline bool find_plane(const MapView& map, const double* q, float gate, FoundPlane* out) {
+  if (!within_world(q)) return false;
   const double inverse = 1.0 / map.voxel;
   const int64_t fine[3] = {kernel_floor(q[0] * inverse), kernel_floor(q[1] * inverse), kernel_floor(q[2] * inverse)};
   for (int level = 0; level < map.levels; ++level) {
@@ -92,6 +93,7 @@ constexpr double kWideShare = 0.4;
 
 // While it is, a point may lie in the cube beside its surface's: the nearest plane of the coarsest cubes around.
 inline bool find_plane_around(const MapView& map, const double* q, float gate, FoundPlane* out) {
+  if (!within_world(q)) return false;
   const int level = map.levels - 1;
   const double inverse = 1.0 / (map.voxel * static_cast<double>(int64_t{1} << level));
   const int64_t middle[3] = {kernel_floor(q[0] * inverse), kernel_floor(q[1] * inverse), kernel_floor(q[2] * inverse)};
@@ -163,7 +165,7 @@ inline void find_nearest(const MapView& map, const double* q, float range, Neare
     const float oy = static_cast<float>(sy) * edge + half - inside[1];
     const float oz = static_cast<float>(sz) * edge + half - inside[2];
     for (uint32_t k = 0; k < bucket.count; ++k) {
-      const float dx = ox + bucket.xyz[3 * k], dy = oy + bucket.xyz[3 * k + 1], dz = oz + bucket.xyz[3 * k + 2];
+      const float dx = ox + bucket.x[k], dy = oy + bucket.y[k], dz = oz + bucket.z[k];
       const float d2 = dx * dx + dy * dy + dz * dz;
       if (d2 < limit) keep_nearest(best, d2, dx, dy, dz);
     }

@@ -4,6 +4,7 @@
 int main() {
   check_cloud();
   check_imu();
+  check_io();
   check_maps();
   check_registration();
   check_sim();

@@ -14,28 +14,35 @@ class FlatIndex {
   struct Slot {
     uint64_t key;
     uint32_t value;
-    uint32_t unused;
+    uint32_t full;  // for the owner: nothing more can be added to what `value` names, so it need not be looked at
   };
 
   explicit FlatIndex(size_t capacity_log2 = 12) { reset(capacity_log2); }
 
-  // The value of `key`, inserting `value` first when it is new; second tells which.
-  std::pair<uint32_t, bool> insert(uint64_t key, uint32_t value) {
+  // The slot of `key`, valid until the next insertion; `value` goes in first when it is new; second tells which.
+  std::pair<Slot*, bool> place(uint64_t key, uint32_t value) {
     if (2 * (size_ + 1) > slots_.size()) grow();
     for (uint64_t i = mix(key) & mask_;; i = (i + 1) & mask_) {
-      if (slots_[i].key == key) return {slots_[i].value, false};
-      if (slots_[i].key == kNoKey) {
-        slots_[i] = {key, value, 0};
+      Slot& slot = slots_[i];
+      if (slot.key == key) return {&slot, false};
+      if (slot.key == kNoKey) {
+        slot = {key, value, 0};
         ++size_;
-        return {value, true};
+        return {&slot, true};
       }
     }
   }
 
-  // The value of `key`, null when it is not there.
-  const uint32_t* find(uint64_t key) const {
+  // The value of `key`, inserting `value` first when it is new; second tells which.
+  std::pair<uint32_t, bool> insert(uint64_t key, uint32_t value) {
+    const auto [slot, is_new] = place(key, value);
+    return {slot->value, is_new};
+  }
+
+  // The slot of `key`, null when it is not there.
+  const Slot* find(uint64_t key) const {
     for (uint64_t i = mix(key) & mask_;; i = (i + 1) & mask_) {
-      if (slots_[i].key == key) return &slots_[i].value;
+      if (slots_[i].key == key) return &slots_[i];
       if (slots_[i].key == kNoKey) return nullptr;
     }
   }

@@ -35,6 +35,16 @@ def propagate(
     model: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
 ) -> tuple[Any, ...]: ...
 
+def decode_points(
+    x: object, y: object, z: object, time: object | None, intensity: object | None, ring: object | None
+) -> tuple[Any, ...]: ...
+def sweep_offsets(
+    times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    first: float,
+    ns_per_unit: float,
+    longest_ns: float,
+) -> tuple[Any, ...]: ...
+
 class VoxelMap:
     def __init__(
         self,

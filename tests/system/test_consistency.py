@@ -151,7 +151,7 @@ def pose_nees(seed, place, duration):
 @pytest.mark.slow
 @pytest.mark.parametrize(("place", "duration"), [("warehouse", 12.0), ("demo", 20.0), ("room", 15.0)])
 def test_odometry_covers_its_drift_and_not_by_orders_of_magnitude(place, duration):
-    """Drift is no chi-square variable (all poses share the map's errors), so the gates are wide: sigmas within thrice."""
+    """Drift is no chi-square variable (all poses share the map's errors), so the gates are wide."""
     nees = np.array([pose_nees(seed, place, duration) for seed in range(1, 9)])
     assert 6.0 / 9.0 < np.median(nees[:, 0]) < 1.5 * 6.0
     assert np.median(nees[:, 2]) < 1.5 * 3.0

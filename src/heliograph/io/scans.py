@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph import _core
 from heliograph.data import Scan
 from heliograph.errors import DataError
 from heliograph.io.layouts import INTENSITY_FIELDS, RING_FIELDS
@@ -60,39 +61,43 @@ class PointTiming:
 TOLERANT = np.errstate(invalid="ignore", over="ignore")
 
 
-@TOLERANT
-def valid_points(cloud: RawCloud) -> tuple[NDArray[np.float32], NDArray[np.intp] | None]:
+def valid_points(cloud: RawCloud) -> tuple[NDArray[np.float32], NDArray[np.uint32] | None]:
     """Return the finite, non-zero points of a cloud and which they are.
 
     Returns
     -------
     points : (N, 3) float32
         In the lidar frame [m].
-    kept : (N,) intp or None
+    kept : (N,) uint32 or None
         Their indices in storage order; None when all points are valid.
+
+    Raises
+    ------
+    DataError
+        The cloud has no coordinates.
     """
+    x, y, z = _axes(cloud)
+    points, kept, *_ = _core.decode_points(x, y, z, None, None, None)
+    return points, None if len(kept) == x.size else kept
+
+
+def _axes(cloud: RawCloud) -> tuple[NDArray[np.generic], NDArray[np.generic], NDArray[np.generic]]:
     try:
-        axes = [cloud.columns[name] for name in ("x", "y", "z")]
+        x, y, z = (_plain(cloud.columns[name]) for name in ("x", "y", "z"))
     except KeyError as error:
         raise DataError(
             f"{cloud.topic}: a cloud without field {error} cannot be used; it has {list(cloud.columns)}"
         ) from None
-    points = np.empty((axes[0].size, 3), np.float32)
-    for column, axis in enumerate(axes):
-        points[:, column].reshape(axis.shape)[...] = axis
-    extent = np.abs(points[:, 0])
-    extent += np.abs(points[:, 1])
-    extent += np.abs(points[:, 2])
-    valid = (extent > 0.0) & (extent < np.inf)  # NaN compares false with both
-    kept = np.flatnonzero(valid)  # taking by index is several times as fast as masking
-    if len(kept) == len(points):
-        return points, None
-    return points.take(kept, axis=0), kept
+    return x, y, z
 
 
-def _column(cloud: RawCloud, name: str, kept: NDArray[np.intp] | None) -> NDArray[np.generic]:
-    column = cloud.columns[name].reshape(-1)
-    return column if kept is None else column.take(kept)
+@TOLERANT
+def _plain(column: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return a column in a type that the native decoder reads: native floats, integers of up to 32 bits."""
+    kind, size = column.dtype.kind, column.dtype.itemsize
+    if column.dtype.isnative and ((kind == "f" and size in (4, 8)) or (kind in "iu" and size <= 4)):
+        return column
+    return column.astype(f"={kind}{size}" if kind in "iu" and size <= 4 else np.float64)
 
 
 @TOLERANT
@@ -112,15 +117,24 @@ def to_scan(cloud: RawCloud, timing: PointTiming) -> Scan:
         Without points that are NaN, infinite or zero, or whose time is not within 2 s of the sweep's start.
     """
     header_ns = cloud.stamp_ns if timing.stamp == "header" else cloud.received_ns
-    points, kept = valid_points(cloud)
-    if timing.method == "field" and timing.field in cloud.columns:
-        start_ns, offsets, inside = _field_times(_column(cloud, timing.field, kept), timing, header_ns)
-    else:
-        start_ns, offsets, inside = header_ns - timing.shift_ns, _geometric_offsets(cloud, points, kept, timing), None
+    x, y, z = _axes(cloud)
+    has_times = timing.method == "field" and timing.field in cloud.columns
+    column, origin = _time_column(cloud, timing, x.shape)
     intensity = next((n for n in INTENSITY_FIELDS if n in cloud.columns), None)
     ring = next((n for n in RING_FIELDS if n in cloud.columns and cloud.columns[n].dtype.kind in "iu"), None)
-    intensities = _column(cloud, intensity, kept).astype(np.float32) if intensity else None
-    rings = _column(cloud, ring, kept).astype(np.uint16) if ring else None
+    points, _, times, first, intensities, rings = _core.decode_points(
+        x,
+        y,
+        z,
+        column,
+        None if intensity is None else _plain(cloud.columns[intensity]),
+        None if ring is None else _plain(cloud.columns[ring]),
+    )
+    inside = None
+    if has_times:
+        start_ns, offsets, inside = _field_times(times, first, origin, timing, header_ns)
+    else:
+        start_ns, offsets = header_ns - timing.shift_ns, _geometric_offsets(points, times, timing)
     if inside is not None:
         points, offsets = points[inside], offsets[inside]
         intensities = None if intensities is None else intensities[inside]
@@ -135,59 +149,59 @@ def to_scan(cloud: RawCloud, timing: PointTiming) -> Scan:
         intensity=intensities,
         ring=rings,
         frame_id=cloud.frame_id or "lidar",
-        has_point_times=timing.method == "field" and timing.field in cloud.columns,
+        has_point_times=has_times,
     )
 
 
+def _time_column(
+    cloud: RawCloud, timing: PointTiming, shape: tuple[int, ...]
+) -> tuple[NDArray[np.generic] | None, int]:
+    """Return the column to time the points with, less an origin in the column's unit, and the origin."""
+    if timing.method == "field" and timing.field in cloud.columns:
+        times = cloud.columns[timing.field]
+        if times.dtype.kind not in "iu" or times.dtype.itemsize <= 4 or times.size == 0:
+            return _plain(times), 0
+        # An epoch in nanoseconds has more digits than a double; the differences within a sweep have not.
+        origin = int(times.min())
+        return (times - times.dtype.type(origin)).astype(np.float64), origin
+    if timing.method == "columns" and len(shape) == 2:
+        column_ns = (np.arange(shape[1]) * (timing.period_ns / shape[1])).astype(np.int32)
+        return np.broadcast_to(column_ns, shape), 0
+    return None, 0
+
+
 def _field_times(
-    times: NDArray[np.generic], timing: PointTiming, header_ns: int
+    times: NDArray[np.float64], first: float, origin: int, timing: PointTiming, header_ns: int
 ) -> tuple[int, NDArray[np.int32], NDArray[np.bool_] | None]:
-    """Return the sweep's start [ns], the offsets from it, and the points whose offset is plausible (None: all)."""
-    if len(times) == 0:
-        return header_ns - timing.shift_ns, np.empty(0, np.int32), None
-    if times.dtype.kind == "f":
-        # Single precision carries a tenth of a microsecond over a sweep; the difference below needs double for epochs.
-        values = times.astype(np.float64)
-        if not np.isfinite(values.sum()):
-            values = np.where(np.isfinite(values), values, np.inf)
-    else:
-        values = times.astype(np.int64)
-    first = values.min()
+    """Return the sweep's start [ns], the offsets from it, and the points whose offset is plausible (None: all).
+
+    ``times`` (N,) count from ``origin`` in the field's unit, ``first`` is the least finite one, infinite if none is.
+    """
     if not np.isfinite(first):
         return header_ns - timing.shift_ns, np.zeros(len(times), np.int32), None
-    first_ns = _exact_ns(first, timing.ns_per_unit)
+    first_ns = _exact_ns(first, timing.ns_per_unit) + origin * int(timing.ns_per_unit)
     if timing.reference == "header" and first_ns >= 0 and timing.shift_ns == 0:
         # Times from the header stamp on: the sweep starts at the stamp even where its first points are missing.
-        first, first_ns = values.dtype.type(0), 0
-    relative = (values - first) * timing.ns_per_unit
-    largest = float(relative.max())
-    inside = None
-    if largest > LONGEST_SWEEP_NS:
-        inside = relative <= LONGEST_SWEEP_NS
-        relative = np.where(inside, relative, 0.0)
-    offsets = np.rint(relative).astype(np.int32) if relative.dtype.kind == "f" else relative.astype(np.int32)
+        first, first_ns = -float(origin), 0
+    offsets, _, outside = _core.sweep_offsets(times, first, timing.ns_per_unit, LONGEST_SWEEP_NS)
+    inside = (times - first) * timing.ns_per_unit <= LONGEST_SWEEP_NS if outside else None
     if timing.reference == "absolute":
         return first_ns, offsets, inside
-    origin = first_ns if timing.reference == "header" else 0
-    return header_ns + origin - timing.shift_ns, offsets, inside
+    begin = first_ns if timing.reference == "header" else 0
+    return header_ns + begin - timing.shift_ns, offsets, inside
 
 
-def _exact_ns(value: float | np.generic, ns_per_unit: float) -> int:
+def _exact_ns(value: float, ns_per_unit: float) -> int:
     """Return a time in nanoseconds without losing the digits of an epoch in seconds."""
-    if isinstance(value, np.integer):
-        return int(value) * int(ns_per_unit)
-    whole = int(np.floor(float(value)))
-    return whole * int(ns_per_unit) + round((float(value) - whole) * ns_per_unit)
+    whole = int(np.floor(value))
+    return whole * int(ns_per_unit) + round((value - whole) * ns_per_unit)
 
 
 def _geometric_offsets(
-    cloud: RawCloud, points: NDArray[np.float32], kept: NDArray[np.intp] | None, timing: PointTiming
+    points: NDArray[np.float32], column_ns: NDArray[np.float64] | None, timing: PointTiming
 ) -> NDArray[np.int32]:
-    if timing.method == "columns" and cloud.columns["x"].ndim == 2:
-        height, width = cloud.columns["x"].shape
-        column_ns = (np.arange(width) * (timing.period_ns / width)).astype(np.int32)
-        offsets = np.broadcast_to(column_ns, (height, width)).reshape(-1)
-        return np.ascontiguousarray(offsets if kept is None else offsets[kept])
+    if column_ns is not None:
+        return column_ns.astype(np.int32)
     if timing.method == "azimuth" and len(points):
         return azimuth_offsets(points, timing)
     return np.zeros(len(points), np.int32)

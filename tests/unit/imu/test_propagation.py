@@ -183,7 +183,7 @@ def test_propagation_refuses_what_it_cannot_do(rng):
 
 
 def test_coasting_keeps_velocity_and_heading_whatever_else_is_uncertain(rng):
-    """No sample for a second: neither a bias nor a tilt may reach velocity or position, only the noise of not knowing."""
+    """No sample for a second: neither a bias nor a tilt may reach the velocity, only the noise of not knowing."""
     state = random_state(rng)
     imu = constant_imu([1.0, 2.0, 3.0], [4.0, 5.0, 6.0], duration=0.0)
     late = START_NS + 10**9
