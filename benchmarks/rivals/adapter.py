@@ -31,12 +31,10 @@ class Adapter:
 
     Parameters
     ----------
-    name, package : str
-        As printed, and the distribution whose version is reported.
-    sensors : str
-        What it estimates from.
+    name, package, sensors : str
+        As printed, the distribution whose version is reported, and what it estimates from.
     body : str
-        Frame whose poses it reports, ``"imu"`` or ``"lidar"``: found by comparing both with the truth, see `kitti`.
+        Frame whose poses it reports, ``"imu"`` or ``"lidar"``; the results hold the error of the other reading, too.
     command : callable
         The command line for a job.
     environment : callable

@@ -228,7 +228,7 @@ class FilterConfig:
     gate: float = 2.5
     max_kernel: float = 1.0
     correlation: float = 30.0
-    systematic: float = 0.1
+    systematic: float = 0.06
     fallback_stride: int = 2
     min_matches: int = 50
     vague_share: float = 0.6

@@ -112,7 +112,7 @@ def iterated_update(
     covariance = J_step @ gain_form @ P @ J_step.T
     total = local(prior, state)[:6]
     moved = prior.covariance[:6, :6] - covariance[:6, :6]
-    nis = float(total @ np.linalg.pinv(moved, rcond=1e-9, hermitian=True) @ total)
+    nis = _normalised_square(total, moved)
     return UpdateResult(
         state=replace(state, covariance=0.5 * (covariance + covariance.T)),
         linearization=measurement,
@@ -120,3 +120,14 @@ def iterated_update(
         converged=converged,
         nis=nis,
     )
+
+
+def _normalised_square(correction: Array, covariance: Array) -> float:
+    """Return ``c^T C^+ c`` over the directions in which the covariance is clearly positive.
+
+    After a large correction prior and posterior live in different tangent spaces, and their difference need not be
+    positive in directions that the measurement hardly changed.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    kept = values > 1e-6 * max(float(values[-1]), 0.0)
+    return float(np.sum((vectors.T @ correction)[kept] ** 2 / values[kept]))
