@@ -43,7 +43,9 @@ class MotionModel:
         if not self.inertial:
             stamps = np.array([state.stamp_ns, max(end_ns, state.stamp_ns + 1)], dtype=np.int64)
             imu = ImuBatch(stamps_ns=stamps, gyro=np.zeros((2, 3)), accel=np.zeros((2, 3)), received_ns=0)
-        return propagate(state, imu, end_ns, noise=self._noise, config=self._config)
+        moved, path = propagate(state, imu, end_ns, noise=self._noise, config=self._config)
+        # Without an IMU none of its samples is missing, however long the way from scan to scan.
+        return moved, path if self.inertial else replace(path, held_s=0.0)
 
 
 def sweep_path(path: ImuPath, prior: NavState, state: NavState) -> ImuPath:
