@@ -77,7 +77,33 @@ def propagate(
     magnitude = float(np.linalg.norm(state.g_odom))
     g_basis = magnitude * s2.basis(state.g_odom / magnitude) if magnitude > 0.0 else np.zeros((3, 2))
     vectors = np.stack([state.p_odom, state.v_odom, state.gyro_bias, state.accel_bias, state.g_odom])
-    model = np.array(
+    model = _model(noise, config)
+    stamps, R, p, v, transition, added, held_s = _core.propagate(
+        imu.stamps_ns,
+        imu.gyro,
+        imu.accel,
+        state.stamp_ns,
+        end_ns,
+        np.ascontiguousarray(state.R_odom_imu),
+        vectors,
+        np.ascontiguousarray(g_basis),
+        model,
+    )
+    covariance = _grown(state.covariance, transition, added)
+    moved = replace(
+        state,
+        stamp_ns=int(end_ns),
+        R_odom_imu=R[-1].copy(),
+        p_odom=p[-1].copy(),
+        v_odom=v[-1].copy(),
+        covariance=covariance,
+    )
+    return moved, ImuPath(stamps_ns=stamps, R_odom_imu=R, p_odom=p, v_odom=v, held_s=held_s)
+
+
+def _model(noise: ImuNoise, config: ImuConfig) -> NDArray[np.float64]:
+    """Return the native model's numbers in their order: variances, then limits."""
+    return np.array(
         [
             noise.gyro**2,
             noise.accel**2,
@@ -91,29 +117,14 @@ def propagate(
             1e9 * config.hold,
         ]
     )
-    stamps, R, p, v, transition, added, held_s = _core.propagate(
-        imu.stamps_ns,
-        imu.gyro,
-        imu.accel,
-        state.stamp_ns,
-        end_ns,
-        np.ascontiguousarray(state.R_odom_imu),
-        vectors,
-        np.ascontiguousarray(g_basis),
-        model,
-    )
-    covariance = state.covariance.copy()
-    nav = slice(0, NAV_DIM)
+
+
+def _grown(
+    before: NDArray[np.float64], transition: NDArray[np.float64], added: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return ``F P F^T + Q`` with F and Q over the first `NAV_DIM` errors; what follows them only correlates."""
+    covariance, nav = before.copy(), slice(0, NAV_DIM)
     covariance[nav] = transition @ covariance[nav]
     covariance[:, nav] = covariance[:, nav] @ transition.T
     covariance[nav, nav] += added
-    covariance = 0.5 * (covariance + covariance.T)
-    moved = replace(
-        state,
-        stamp_ns=int(end_ns),
-        R_odom_imu=R[-1].copy(),
-        p_odom=p[-1].copy(),
-        v_odom=v[-1].copy(),
-        covariance=covariance,
-    )
-    return moved, ImuPath(stamps_ns=stamps, R_odom_imu=R, p_odom=p, v_odom=v, held_s=held_s)
+    return np.asarray(0.5 * (covariance + covariance.T))

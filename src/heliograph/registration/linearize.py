@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,17 +152,23 @@ def linearize(
         sums = _core.match_planes(*scan, stride, reach, columns, settings.threads)
     else:
         sums = _core.match_points(*scan, columns, settings.threads)
+    errors = _COLUMNS_MOUNTING if settings.mounting else _COLUMNS_MOTION if motion else _COLUMNS_POSE
+    return _from_sums(sums, errors, len(points_imu))
+
+
+def _from_sums(sums: tuple[Any, ...], columns: NDArray[np.intp], queries: int) -> NormalEquations:
+    """Name what the native kernels return."""
     return NormalEquations(
         information=sums[0],
         gradient=sums[1],
-        columns=_COLUMNS_MOUNTING if settings.mounting else _COLUMNS_MOTION if motion else _COLUMNS_POSE,
+        columns=columns,
         weight=sums[2],
         robust_weight=sums[3],
         square=sums[4],
         cost=sums[5],
         matches=sums[6],
         fallback_matches=sums[7],
-        queries=len(points_imu),
+        queries=queries,
     )
 
 
