@@ -88,6 +88,29 @@ inline bool find_plane(const MapView& map, const double* q, float gate, FoundPla
   return false;
 }
 
+constexpr uint64_t kFar = 12, kNear = 6;  // points ahead
+
+inline const SlotView* home(const IndexView& index, uint64_t key) { return index.slots + (kernel_mix(key) & index.mask); }
+
+// The tables are larger than any cache. Asking for what a later point will need overlaps the waits: first its slots ...
+inline void prefetch_slots(const MapView& map, const double* q) {
+  if (!within_world(q)) return;
+  const double inverse = 1.0 / map.voxel;
+  const int64_t c[3] = {kernel_floor(q[0] * inverse), kernel_floor(q[1] * inverse), kernel_floor(q[2] * inverse)};
+  for (int level = 0; level < map.levels; ++level)
+    __builtin_prefetch(
+        home(map.voxels, kernel_pack(static_cast<uint64_t>(level), c[0] >> level, c[1] >> level, c[2] >> level)));
+}
+
+// ... then, with those there, its finest plane.
+inline void prefetch_plane(const MapView& map, const double* q) {
+  if (!within_world(q)) return;
+  const double inverse = 1.0 / map.voxel;
+  uint32_t id = 0;
+  const uint64_t key = kernel_pack(0, kernel_floor(q[0] * inverse), kernel_floor(q[1] * inverse), kernel_floor(q[2] * inverse));
+  if (find(map.voxels, key, &id)) __builtin_prefetch(map.planes + id);
+}
+
 // A gate wider than this share of the coarsest cube means that the pose is poor.
 constexpr double kWideShare = 0.4;
 
@@ -153,12 +176,20 @@ inline void find_nearest(const MapView& map, const double* q, float range, Neare
     inside[i] = static_cast<float>(q[i] - static_cast<double>(c[i]) * size);
   }
   float limit = range * range;
-  for (int n = 0; n < 27; ++n) {
+  uint64_t keys[27];
+  float gap2[27];
+  for (int n = 0; n < 27; ++n) {  // ask for all slots first, so that the waits overlap
     const int sx = kOrder[n % 3], sy = kOrder[(n / 3) % 3], sz = kOrder[n / 9];
     const float gx = axis_gap(inside[0], edge, sx), gy = axis_gap(inside[1], edge, sy), gz = axis_gap(inside[2], edge, sz);
-    if (gx * gx + gy * gy + gz * gz >= limit) continue;
+    gap2[n] = gx * gx + gy * gy + gz * gz;
+    keys[n] = kernel_pack(15, c[0] + sx, c[1] + sy, c[2] + sz);
+    if (gap2[n] < limit) __builtin_prefetch(home(map.point_index, keys[n]));
+  }
+  for (int n = 0; n < 27; ++n) {
+    if (gap2[n] >= limit) continue;
+    const int sx = kOrder[n % 3], sy = kOrder[(n / 3) % 3], sz = kOrder[n / 9];
     uint32_t id = 0;
-    if (!find(map.point_index, kernel_pack(15, c[0] + sx, c[1] + sy, c[2] + sz), &id)) continue;
+    if (!find(map.point_index, keys[n], &id)) continue;
     const BucketView& bucket = map.buckets[id];
     const float half = 0.5F * edge;
     const float ox = static_cast<float>(sx) * edge + half - inside[0];
@@ -346,8 +377,14 @@ inline void planes_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
   const bool wide = in.gate > in.map.voxel * static_cast<double>(int64_t{1} << (in.map.levels - 1)) * kWideShare;
   int unmatched = 0;
   for (uint64_t k = begin; k < end; ++k) {
-    const float* p = in.points + 3 * k;
     double q[3];
+    if (!wide && k + kFar < end) {
+      to_odom(in.T_odom_body, in.points + 3 * (k + kFar), q);
+      prefetch_slots(in.map, q);
+      to_odom(in.T_odom_body, in.points + 3 * (k + kNear), q);
+      prefetch_plane(in.map, q);
+    }
+    const float* p = in.points + 3 * k;
     to_odom(in.T_odom_body, p, q);
     FoundPlane plane;
     bool fallback = false;
