@@ -234,7 +234,7 @@ def conclude(
     """Return the run's account: what the tally counted, the verdict, the timings, and which way is up after all."""
     leveling = getattr(odometry, "leveling", None)
     T_map_odom = np.eye(4) if leveling is None else np.asarray(leveling(), dtype=np.float64)
-    status, reasons = judge(tally.statuses, sensors=sensors, interrupted=interrupted)
+    status, reasons = judge(tally.statuses, sensors=sensors, held=tally.held, interrupted=interrupted)
     return tally.summary(
         status=status,
         reasons=reasons,

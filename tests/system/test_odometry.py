@@ -76,7 +76,7 @@ def test_filter_follows_the_truth(walk, tracked):
     assert gap(walk[0], results) < 0.04
     assert rotation_rmse_deg(walk[0], results) < 0.15
     assert {r.status for r in results[1:]} == {"tracked"}
-    assert [event.code for event in odometry.events] == []
+    assert {event.code for event in odometry.events} <= {"tilt-uncertain"}
     assert np.linalg.norm(results[-1].T_odom_imu[:3, 3]) > 8.0
 
 
@@ -88,6 +88,15 @@ def test_filter_finds_the_biases_as_far_as_it_says(walk, tracked):
     assert np.abs(gyro).max() < 1e-3
     assert (np.abs(gyro) < 4.0 * sigma[9:12]).all()
     assert (np.abs(accel) < 3.0 * sigma[12:15]).all()
+
+
+def test_a_short_walk_owns_up_to_an_uncertain_level(tracked):
+    _, odometry = tracked
+    sigma = np.degrees(np.sqrt(np.linalg.eigvalsh(odometry.core.state.covariance[15:17, 15:17])[-1]))
+    doubts = [event.message for event in odometry.events if event.code == "tilt-uncertain"]
+    assert len(doubts) == (sigma >= 0.2)
+    assert sigma > 0.2  # else this walk would not show anything
+    assert f"{sigma:.2f} deg" in doubts[0]
 
 
 def test_lidar_alone_follows_with_a_warning(walk):
@@ -140,7 +149,7 @@ def test_two_instances_interleaved_do_not_know_of_each_other(walk):
 def test_recording_that_starts_in_motion_is_warned_about_and_followed():
     simulation = simulate(SMALL.varied(walk={"begin": 9.0, "duration": 8.0}), 2)
     results, odometry = run(simulation, simulation.rig)
-    assert [event.code for event in odometry.events] == ["start-moving"]
+    assert "start-moving" in [event.code for event in odometry.events]
     assert ate(simulation, results) < 0.03
     # Gravity is found although nothing ever rested.
     down = truth_of(simulation, results)[-1][:3, :3].T @ [0.0, 0.0, -1.0]

@@ -28,7 +28,8 @@ def test_imu_rate_does_not_matter(rate):
     simulation = simulate(WALK.varied(imu={"rate": rate}), 1)
     results, odometry = run(simulation, simulation.rig)
     assert ate(simulation, results) < 0.01
-    assert odometry.events == [] and all(result.events == () for result in results)
+    assert {event.code for event in odometry.events} <= {"tilt-uncertain"}
+    assert all(result.events == () for result in results)
 
 
 @pytest.mark.parametrize(

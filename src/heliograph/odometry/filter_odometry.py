@@ -15,6 +15,8 @@ from heliograph.odometry.start import find_start
 
 __all__ = ["FilterOdometry"]
 
+_LEVEL_DEG = 0.2  # a map whose level is known no better deserves a word [deg]
+
 
 class FilterOdometry:
     """The filter as an `Odometry`: it gathers the first second, finds a start, and then steps scan by scan.
@@ -51,7 +53,9 @@ class FilterOdometry:
 
     def finish(self) -> list[ScanResult]:
         """Return the results still waiting."""
-        return self._advance(self._sequencer.finish(), ended=True)
+        results = self._advance(self._sequencer.finish(), ended=True)
+        self.events += self._doubts()
+        return results
 
     def leveling(self) -> NDArray[np.float64]:
         """Return ``T_leveled_odom`` (4, 4): the smallest rotation that lets the latest gravity point down."""
@@ -59,6 +63,19 @@ class FilterOdometry:
         if self.core is not None and np.linalg.norm(self.core.state.g_odom) > 0.0:
             T[:3, :3] = so3.from_two_vectors(self.core.state.g_odom, np.array([0.0, 0.0, -1.0]))
         return T
+
+    def _doubts(self) -> list[Event]:
+        """Return what the last state says about the whole run: how well it knows which way is up."""
+        if self.core is None or np.linalg.norm(self.core.state.g_odom) == 0.0:
+            return []
+        tilt = np.degrees(np.sqrt(float(np.linalg.eigvalsh(self.core.state.covariance[15:17, 15:17])[-1])))
+        if tilt < _LEVEL_DEG:
+            return []
+        text = (
+            f"up is known to +- {tilt:.2f} deg only: over this recording a tilt cannot be told from an accelerometer "
+            f"bias - turn the sensor about its vertical axis to separate them"
+        )
+        return [Event(code="tilt-uncertain", message=text, stamp_ns=self.core.state.stamp_ns)]
 
     def _advance(self, packets: list[Packet], *, ended: bool) -> list[ScanResult]:
         self._waiting += packets

@@ -15,6 +15,7 @@ __all__ = ["RunSummary", "Tally", "fold_events", "judge"]
 # Shares of the scans from which a result is called degraded or lost. A single bad scan in a thousand is normal (a
 # person walks past the sensor); from a tenth on a user who trusts the map without looking would be misled.
 DEGRADED_SHARE = 0.10
+HELD_SHARE = 0.2
 LOST_SHARE = 0.10
 UNTRACKED_SHARE = 0.50
 
@@ -90,7 +91,7 @@ class RunSummary:
 
 
 def judge(
-    statuses: Mapping[str, int], *, sensors: Iterable[str], interrupted: bool = False
+    statuses: Mapping[str, int], *, sensors: Iterable[str], held: int = 0, interrupted: bool = False
 ) -> tuple[str, tuple[str, ...]]:
     """Decide how far a result is to be trusted, and say why.
 
@@ -100,6 +101,8 @@ def judge(
         Scan status -> how many.
     sensors : iterable of str
         Sensors that the estimate rests on.
+    held : int
+        Scans that no IMU sample reached to the end of.
     interrupted : bool
         Whether the run ended early; a reason, not a verdict on the part that was done.
 
@@ -127,6 +130,10 @@ def judge(
             degraded.append(f"one direction was unobservable in {share['degenerate']:.0%} of the scans")
     else:
         degraded.append("dead reckoning on the IMU alone: the position error grows with the square of time")
+    if held / total >= HELD_SHARE:
+        degraded.append(
+            f"the IMU did not cover the end of {held / total:.0%} of the scans: check its clock and its gaps"
+        )
     status = "lost" if lost else "degraded" if degraded else "ok"
     early = ("interrupted: the result covers the part that was read",) if interrupted else ()
     return status, (*lost, *degraded, *early)
@@ -148,6 +155,7 @@ class Tally:
     def __init__(self) -> None:
         self.scans = 0
         self.statuses: dict[str, int] = {}
+        self.held = 0
         self.stage_totals: dict[str, float] = {}
         self.distance = 0.0
         self.weakest = (float("nan"), np.zeros(3), -1)
@@ -170,6 +178,7 @@ class Tally:
             self.stage_totals[stage] = self.stage_totals.get(stage, 0.0) + ms
         if result.matches > 0 and not self.weakest[0] <= result.eigenvalues_translation[0]:
             self.weakest = (float(result.eigenvalues_translation[0]), result.weak_direction.copy(), result.index)
+        self.held += any(event.code == "imu-held" for event in result.events)
         self.add_events(result.events)
 
     def add_events(self, events: Iterable[Event]) -> None:

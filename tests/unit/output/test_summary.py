@@ -27,3 +27,10 @@ def test_judge_calls_dead_reckoning_degraded():
 
 def test_judge_interruption_is_a_reason_but_no_verdict():
     assert judge({"tracked": 9}, sensors=("lidar",), interrupted=True)[0] == "ok"
+
+
+def test_judge_calls_a_run_degraded_whose_imu_did_not_cover_the_scans():
+    assert judge({"tracked": 100}, sensors=("lidar", "imu"), held=19)[0] == "ok"
+    verdict, reasons = judge({"tracked": 100}, sensors=("lidar", "imu"), held=20)
+    assert verdict == "degraded"
+    assert "20%" in reasons[0]
