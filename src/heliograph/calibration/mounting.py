@@ -28,8 +28,12 @@ _WINDOW = 5  # scans over which turns are compared
 _TURN_SIGMA = 0.004  # of one such comparison: the LiDAR's odometry and the gyroscope's drift together [rad]
 _ENOUGH = 0.005  # the rotation is known well enough when its weakest axis is [rad]
 _LONGEST = 60.0  # of the recording looked at [s]
-# Each pass begins with a better guess, so that its map is bent less by the error still to be found.
-_PASSES = 2
+# Each pass begins with a better guess, so that its map is bent less by the error still to be found; it ends when a pass
+# changes little.
+_MOST_PASSES = 5
+_SETTLED_ROTATION, _SETTLED_LEVER = 5e-4, 0.005
+# A pass that runs farther from the rough guess than so many of its sigmas has lost its footing.
+_IMPLAUSIBLE = 4.0
 _THINNING = 3  # of the points one of so many is used
 _LEVER_SIGMA = 0.3  # of a lever arm nobody told [m]
 
@@ -41,7 +45,7 @@ class MountingAlignment:
     Parameters
     ----------
     rig : Rig
-        With the sigmas that remain; the filter goes on estimating within them.
+        With the sigmas that remain; the run takes it as given.
     sigma_rotation : (3,) float64
         Of the rotation alone about the lidar axes, from turns [rad].
     duration : float
@@ -64,7 +68,7 @@ def align_mounting(
     Parameters
     ----------
     open_stream : callable
-        Returns the recording's messages from the start, each time it is called; three times here.
+        Returns the recording's messages from the start, each time it is called; three to six times here.
     config : RunConfig
     threads : int
 
@@ -90,11 +94,37 @@ def align_mounting(
         sigma_rotation=float(np.clip(sigma[-1], 0.01, 0.5)),
         sigma_translation=_LEVER_SIGMA,
     )
-    rig = rough
-    for _ in range(_PASSES):
-        guess = replace(rough, T_imu_lidar=rig.T_imu_lidar)
-        rig = _refined(open_stream(), guess, config, threads, begin_ns + int(_LONGEST * 1e9))
+    rig = _settled(open_stream, rough, config, threads, begin_ns + int(_LONGEST * 1e9))
     return MountingAlignment(rig=rig, sigma_rotation=sigma, duration=duration, events=(_found(rig, duration),))
+
+
+def _settled(
+    open_stream: Callable[[], Iterable[Message]], rough: Rig, config: RunConfig, threads: int, until_ns: int
+) -> Rig:
+    """Repeat the filter's estimate from where the last one ended, until a pass changes little.
+
+    What comes out is then taken as given by the run: where the motion tells too little the rough guess is kept, with its
+    wide sigmas, because a filter that goes on searching for a mounting without evidence ends far away.
+    """
+    rig = rough
+    for _ in range(_MOST_PASSES):
+        before, rig = (
+            rig,
+            _refined(open_stream(), replace(rough, T_imu_lidar=rig.T_imu_lidar), config, threads, until_ns),
+        )
+        turn, shift = _difference(rough, rig)
+        if turn > _IMPLAUSIBLE * rough.sigma_rotation or shift > _IMPLAUSIBLE * rough.sigma_translation:
+            return replace(rough, known=True)
+        turn, shift = _difference(before, rig)
+        if turn < _SETTLED_ROTATION and shift < _SETTLED_LEVER:
+            break
+    return replace(rig, known=True)
+
+
+def _difference(a: Rig, b: Rig) -> tuple[float, float]:
+    """Return the angle [rad] and the distance [m] between two mountings."""
+    turn = so3.log(a.T_imu_lidar[:3, :3].T @ b.T_imu_lidar[:3, :3])
+    return float(np.linalg.norm(turn)), float(np.linalg.norm(a.T_imu_lidar[:3, 3] - b.T_imu_lidar[:3, 3]))
 
 
 def align_rotations(turns_lidar: Array, turns_imu: Array, spans: Array) -> tuple[Array, Array]:

@@ -112,6 +112,8 @@ def open_raw_source(paths: Sequence[Path]) -> RawSource:
     for path in paths:
         if not path.exists():
             raise FormatError(path, "no such file or folder; check the path")
+        if not path.is_file() and not path.is_dir():
+            raise FormatError(path, "neither a file nor a folder; name a recording")
         if path.is_dir() and not any(path.iterdir()):
             raise FormatError(path, "the folder is empty; name a folder that holds a recording")
         if path.is_file() and path.stat().st_size == 0:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from heliograph.data import NavState
 from heliograph.lie import s2, so3
 
-__all__ = ["MOUNTING_DIM", "NAV_DIM", "local", "reset_jacobian", "retract"]
+__all__ = ["MOUNTING_DIM", "NAV_DIM", "local", "mounting_error", "reset_jacobian", "retract"]
 
 Array = NDArray[np.float64]
 
@@ -57,9 +57,14 @@ def local(origin: NavState, state: NavState) -> Array:
     if magnitude > 0.0:
         delta[15:17] = s2.local(origin.g_odom / magnitude, state.g_odom / np.linalg.norm(state.g_odom))
     if len(delta) > NAV_DIM:
-        delta[17:20] = so3.log(origin.T_imu_lidar[:3, :3].T @ state.T_imu_lidar[:3, :3])
-        delta[20:23] = state.T_imu_lidar[:3, 3] - origin.T_imu_lidar[:3, 3]
+        delta[17:23] = mounting_error(origin.T_imu_lidar, state.T_imu_lidar)
     return delta
+
+
+def mounting_error(origin: Array, T_imu_lidar: Array) -> Array:
+    """Return the error (6,) that leads from one mounting (4, 4) to another: rotation (right), lever arm."""
+    turn = so3.log(origin[:3, :3].T @ T_imu_lidar[:3, :3])
+    return np.concatenate([turn, T_imu_lidar[:3, 3] - origin[:3, 3]])
 
 
 def reset_jacobian(origin: NavState, delta: Array) -> Array:

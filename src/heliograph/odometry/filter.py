@@ -12,6 +12,7 @@ from heliograph.cloud import deskew, range_gate
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, NavState, Scan, ScanResult
 from heliograph.imu import ImuPath
+from heliograph.lie import se3
 from heliograph.maps import LocalMap, VoxelMap
 from heliograph.odometry.drift import MapDrift
 from heliograph.odometry.matching import AdaptiveNoise, Thinning, is_vague, register
@@ -59,11 +60,14 @@ class FilterCore:
         self.map: LocalMap = local_map if local_map is not None else VoxelMap(config.map)
         self.noise = AdaptiveNoise(config.filter.sigma)
         self._motion, self._config, self._threads = motion, config, threads
+        # Points enter the map with the mounting of the start, whatever is learnt of it: a changing one would bend it.
+        self._T_imu_lidar = start.T_imu_lidar
         self._thinning = Thinning(config.cloud)
         self._usual_share = 0.0
         self._drift = MapDrift(config.filter.systematic)
         self._pruned_at = start.p_odom
         self._history: ImuPath | None = None
+        self._anchor: NDArray[np.float64] | None = None
         self._count = 0
 
     def process(self, scan: Scan, imu: ImuBatch) -> ScanResult:
@@ -82,7 +86,7 @@ class FilterCore:
         sweep, path = sweep_path(path, prior, posterior), corrected_path(path, posterior)  # (8)
         watch.lap("match")
 
-        points_imu = self._deskew(points, offsets, scan, sweep, posterior)  # (3), now with the final motion
+        points_imu = self._deskew(points, offsets, scan, sweep)  # (3), now with the final motion
         watch.lap("deskew")
 
         if fit is not None or len(self.map) == 0:
@@ -120,7 +124,7 @@ class FilterCore:
         )
 
     def _deskew(
-        self, points: NDArray[np.float32], offsets: NDArray[np.int32], scan: Scan, path: ImuPath, state: NavState
+        self, points: NDArray[np.float32], offsets: NDArray[np.int32], scan: Scan, path: ImuPath
     ) -> NDArray[np.float32]:
         first = 0 if self._config.cloud.deskew != "off" else len(path.stamps_ns) - 1
         return deskew(
@@ -130,7 +134,7 @@ class FilterCore:
             path_stamps_ns=path.stamps_ns[first:],
             R_odom_body=path.R_odom_imu[first:],
             p_odom=path.p_odom[first:],
-            T_body_lidar=state.T_imu_lidar,
+            T_body_lidar=self._T_imu_lidar,
             threads=self._threads,
         )
 
@@ -143,14 +147,23 @@ class FilterCore:
             return None
         before_end = ((scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)).astype(np.float32)
 
-        predicted = self._deskew(points, offsets, scan, path, prior)
+        predicted = self._deskew(points, offsets, scan, path)
 
         def points_at(state: NavState) -> NDArray[np.float32]:
             if _same_sweep(prior, state):
                 return predicted
-            return self._deskew(points, offsets, scan, sweep_path(path, prior, state), state)
+            return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
-        fit = register(prior, self.map, points_at, before_end, noise=self.noise, config=config, threads=self._threads)
+        fit = register(
+            prior,
+            self.map,
+            points_at,
+            before_end,
+            T_imu_lidar=self._T_imu_lidar,
+            noise=self.noise,
+            config=config,
+            threads=self._threads,
+        )
         return fit if self._trusted(prior, fit) else None
 
     def _trusted(self, prior: NavState, fit: UpdateResult[NormalEquations]) -> bool:
@@ -167,12 +180,26 @@ class FilterCore:
         self._usual_share += 0.1 * (share - self._usual_share) if self._usual_share > 0.0 else share
         return True
 
+    def _map_pose(self, state: NavState) -> NDArray[np.float64]:
+        """Return the pose at which the map's points, made with the mounting of the start, fit those already there.
+
+        As the mounting E is believed now, the LiDAR stands at ``T E`` and the map, begun at the pose ``T_0`` with the
+        mounting ``E_0``, is displaced by ``T_0 E (T_0 E_0)^-1``.
+        """
+        if self._anchor is None:
+            self._anchor = state.T_odom_imu @ self._T_imu_lidar
+        if self._T_imu_lidar is state.T_imu_lidar:
+            return state.T_odom_imu
+        change = se3.inverse(self._T_imu_lidar) @ state.T_imu_lidar
+        displaced = self._anchor @ se3.inverse(change) @ se3.inverse(self._anchor)
+        return np.asarray(displaced @ state.T_odom_imu @ state.T_imu_lidar @ se3.inverse(self._T_imu_lidar))
+
     def _extend_map(
         self, points_imu: NDArray[np.float32], state: NavState, fit: UpdateResult[NormalEquations] | None
     ) -> None:
         """Insert the scan, account for what the map's frame may have drifted by that, and forget what is far away."""
         if isinstance(self.map, VoxelMap):
-            share = self.map.insert(points_imu, state.T_odom_imu, state.T_imu_lidar)
+            share = self.map.insert(points_imu, self._map_pose(state), self._T_imu_lidar)
         else:
             share = self.map.insert(points_imu, state.T_odom_imu)
         self._drift.grow(state, share, sigma=self.noise.sigma, matched=fit is not None)
@@ -184,8 +211,7 @@ class FilterCore:
 def _same_sweep(prior: NavState, state: NavState) -> bool:
     speed = float(np.linalg.norm(state.R_odom_imu.T @ state.v_odom - prior.R_odom_imu.T @ prior.v_odom))
     rate = float(np.linalg.norm(state.gyro_bias - prior.gyro_bias))
-    mounting = state.T_imu_lidar is prior.T_imu_lidar or bool(np.array_equal(state.T_imu_lidar, prior.T_imu_lidar))
-    return mounting and speed < _SAME_SPEED and rate < _SAME_RATE
+    return speed < _SAME_SPEED and rate < _SAME_RATE
 
 
 def _taken(values: NDArray[S], keep: NDArray[np.int32]) -> NDArray[S]:

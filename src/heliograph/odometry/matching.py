@@ -12,7 +12,7 @@ from heliograph.cloud import voxel_downsample
 from heliograph.config import CloudConfig, FilterConfig
 from heliograph.data import NavState
 from heliograph.maps import LocalMap
-from heliograph.odometry.error_state import NAV_DIM
+from heliograph.odometry.error_state import NAV_DIM, mounting_error
 from heliograph.odometry.update import UpdateResult, iterated_update
 from heliograph.registration import MatchSettings, NormalEquations, linearize
 
@@ -77,6 +77,7 @@ def register(
     points_at: Callable[[NavState], NDArray[np.float32]],
     before_end: NDArray[np.float32],
     *,
+    T_imu_lidar: NDArray[np.float64],
     noise: AdaptiveNoise,
     config: FilterConfig,
     threads: int,
@@ -84,6 +85,8 @@ def register(
     """Update ``prior`` with the points of a scan, imu frame at its stamp.
 
     ``points_at(state)`` gives them de-skewed, (N, 3) float32 [m], ``before_end`` (N,) how long before [s].
+    They, and the map, were made with ``T_imu_lidar``; where the state's own mounting differs from it, the residuals are
+    corrected to first order.
 
     The kernel narrows down to ``config.kernel`` sigmas as the pose settles (graduated non-convexity in its simplest
     form), so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
@@ -103,8 +106,11 @@ def register(
             threads=threads,
         )
         equations = linearize(
-            local_map, points_at(state), state.T_odom_imu, state.T_imu_lidar, settings, before_end=before_end
+            local_map, points_at(state), state.T_odom_imu, T_imu_lidar, settings, before_end=before_end
         )
+        if mounting:
+            off = mounting_error(T_imu_lidar, state.T_imu_lidar)
+            equations = replace(equations, gradient=equations.gradient + equations.information[:, 6:] @ off)
         share = 1.0 / config.correlation
         return replace(
             equations,
