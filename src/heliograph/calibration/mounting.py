@@ -103,15 +103,13 @@ def _settled(
 ) -> Rig:
     """Repeat the filter's estimate from where the last one ended, until a pass changes little.
 
-    What comes out is then taken as given by the run: where the motion tells too little the rough guess is kept, with its
-    wide sigmas, because a filter that goes on searching for a mounting without evidence ends far away.
+    What comes out is then taken as given by the run: where the motion tells too little the rough guess is kept, with
+    its wide sigmas, because a filter that goes on searching for a mounting without evidence ends far away.
     """
     rig = rough
     for _ in range(_MOST_PASSES):
-        before, rig = (
-            rig,
-            _refined(open_stream(), replace(rough, T_imu_lidar=rig.T_imu_lidar), config, threads, until_ns),
-        )
+        before = rig
+        rig = _refined(open_stream(), replace(rough, T_imu_lidar=before.T_imu_lidar), config, threads, until_ns)
         turn, shift = _difference(rough, rig)
         if turn > _IMPLAUSIBLE * rough.sigma_rotation or shift > _IMPLAUSIBLE * rough.sigma_translation:
             return replace(rough, known=True)
