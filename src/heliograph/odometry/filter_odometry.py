@@ -15,7 +15,7 @@ from heliograph.odometry.start import find_start
 
 __all__ = ["FilterOdometry"]
 
-_LEVEL_DEG = 0.2  # a map whose level is known no better deserves a word [deg]
+_LEVEL_DEG, _TILTED_DEG = 0.2, 1.0  # a map whose level is known no better deserves a remark, or a warning [deg]
 
 
 class FilterOdometry:
@@ -75,7 +75,8 @@ class FilterOdometry:
             f"up is known to +- {tilt:.2f} deg only: over this recording a tilt cannot be told from an accelerometer "
             f"bias - turn the sensor about its vertical axis to separate them"
         )
-        return [Event(code="tilt-uncertain", message=text, stamp_ns=self.core.state.stamp_ns)]
+        severity = "warning" if tilt >= _TILTED_DEG else "info"
+        return [Event(code="tilt-uncertain", message=text, stamp_ns=self.core.state.stamp_ns, severity=severity)]
 
     def _advance(self, packets: list[Packet], *, ended: bool) -> list[ScanResult]:
         self._waiting += packets
