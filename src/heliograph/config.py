@@ -114,6 +114,19 @@ class ImuConfig:
     still_gravity_error: float = 0.6
     still_speed: float = 0.1
 
+    def __post_init__(self) -> None:
+        positive = (
+            "gravity",
+            "gyro_noise",
+            "accel_noise",
+            "gyro_noise_floor",
+            "accel_noise_floor",
+            "max_step",
+            "max_gap",
+        )
+        check_range(self, *positive, "gyro_bias_sigma", "accel_bias_sigma", above=0.0)
+        check_range(self, "gyro_walk", "accel_walk", "curvature", "hold", "start_window", low=0.0)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloudConfig:
@@ -137,6 +150,12 @@ class CloudConfig:
     min_leaf: float = 0.05
     max_leaf: float = 1.0
     deskew: str = "imu"
+
+    def __post_init__(self) -> None:
+        check_range(self, "target_points", low=1)
+        check_range(self, "max_range", "min_leaf", "max_leaf", above=0.0)
+        check_range(self, "min_range", low=0.0)
+        check_choice(self, "deskew", "imu", "off")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,6 +194,14 @@ class MapConfig:
     fallback_range: float = 0.6
     radius: float = 150.0
     max_voxels: int = 2_000_000
+
+    def __post_init__(self) -> None:
+        check_range(
+            self, "voxel", "max_thickness", "min_spread", "point_spacing", "fallback_range", "radius", above=0.0
+        )
+        check_range(self, "levels", low=1, high=8)
+        check_range(self, "min_points", "max_points", low=3)
+        check_range(self, "max_voxels", low=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -237,6 +264,13 @@ class FilterConfig:
     degenerate_rotation: float = 0.003
     constant_velocity_accel: float = 3.0
     constant_velocity_gyro: float = 3.0
+
+    def __post_init__(self) -> None:
+        check_range(self, "max_iterations", "min_matches", low=1)
+        check_range(self, "sigma", "min_sigma", "max_sigma", "kernel", "gate", "max_kernel", "correlation", above=0.0)
+        check_range(self, "tolerance_rotation", "tolerance_position", "lost_sigma", above=0.0)
+        check_range(self, "systematic", "fallback_stride", "vague_share", low=0)
+        check_choice(self, "residual", "plane", "point")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
