@@ -10,6 +10,7 @@ __all__ = ["levenberg_marquardt"]
 
 _LEAST_GAIN = 1e-4  # of the predicted decrease: less is no progress
 _UNDAMPED = 1e-2  # up to this damping a step counts as a full one
+_GROWTH = 4.0  # of the damping after a rejection, and of itself after each further one
 
 
 def levenberg_marquardt(problem: Problem, settings: SolverSettings, cost: Cost, observe: Observer) -> Minimum:
@@ -32,7 +33,7 @@ def levenberg_marquardt(problem: Problem, settings: SolverSettings, cost: Cost, 
     Nielsen's (1999). The gain ratio divides the decrease of the true robust cost by that of the quadratic model.
     """
     steps: list[Iteration] = []
-    damping, growth = settings.initial_damping, 2.0
+    damping, growth = settings.initial_damping, _GROWTH
     status = "max_iterations"
     while len(steps) < settings.max_iterations:
         used, decrease, predicted = damping, -1.0, 0.0
@@ -48,9 +49,9 @@ def levenberg_marquardt(problem: Problem, settings: SolverSettings, cost: Cost, 
             problem.accept()
             cost = trial
             damping = max(damping * max(1.0 / 10.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-15)
-            growth = 2.0
+            growth = _GROWTH
         else:
-            damping, growth = max(damping, 1e-6) * growth, 2.0 * growth
+            damping, growth = max(damping, 1e-6) * growth, _GROWTH * growth
         steps.append(
             Iteration(
                 number=len(steps) + 1, cost=cost.cost, chi2=cost.chi2, accepted=accepted, gain_ratio=gain, damping=used
