@@ -75,7 +75,7 @@ Tuple residuals(const GraphProblem& problem, size_t index) {
                               to_numpy<double>(std::move(squared), {group.count})));
 }
 
-nb::object jacobians(const GraphProblem& problem, size_t index) {
+nb::typed<nb::tuple, nb::any, nb::ellipsis> jacobians(const GraphProblem& problem, size_t index) {
   const FactorGroup& group = problem.groups().at(index);
   std::vector<std::vector<double>> all(static_cast<size_t>(group.arity));
   std::vector<double*> pointers;
@@ -87,7 +87,7 @@ nb::object jacobians(const GraphProblem& problem, size_t index) {
   nb::list out;
   for (size_t a = 0; a < all.size(); ++a)
     out.append(to_numpy<double>(std::move(all[a]), {group.count, static_cast<size_t>(group.rows), static_cast<size_t>(group.dof[a])}));
-  return nb::tuple(out);
+  return Tuple(nb::tuple(out));
 }
 
 auto solve_for(const GraphProblem& problem, const Rows& right) {
@@ -97,9 +97,9 @@ auto solve_for(const GraphProblem& problem, const Rows& right) {
   return to_numpy<double>(std::move(x), {right.shape(0), right.shape(1)});
 }
 
-nb::dict plan_facts(const GraphProblem& problem) {
+nb::typed<nb::dict, nb::str, nb::any> plan_facts(const GraphProblem& problem) {
   const Plan& plan = problem.plan();
-  nb::dict facts;
+  nb::typed<nb::dict, nb::str, nb::any> facts;
   facts["fronts"] = plan.fronts.size();
   facts["scalars"] = plan.scalars;
   facts["factor_doubles"] = plan.factor_size;

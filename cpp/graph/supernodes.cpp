@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <numeric>
 
+#include "graph/fill.hpp"
+
 namespace heliograph {
 
 namespace {
@@ -12,52 +14,6 @@ std::vector<int32_t> inverse_of(std::span<const int32_t> order) {
   std::vector<int32_t> position(order.size());
   for (size_t i = 0; i < order.size(); ++i) position[static_cast<size_t>(order[i])] = static_cast<int32_t>(i);
   return position;
-}
-
-// Parents by position; path compression through `ancestor` (Liu 1986).
-std::vector<int32_t> tree_of(const Adjacency& graph, std::span<const int32_t> order, std::span<const int32_t> position) {
-  const size_t n = order.size();
-  std::vector<int32_t> parent(n, -1), ancestor(n, -1);
-  for (size_t k = 0; k < n; ++k) {
-    const auto node = static_cast<size_t>(order[k]);
-    for (int64_t i = graph.offset[node]; i < graph.offset[node + 1]; ++i) {
-      int32_t at = position[static_cast<size_t>(graph.neighbour[static_cast<size_t>(i)])];
-      while (at != -1 && at < static_cast<int32_t>(k)) {
-        const int32_t next = ancestor[static_cast<size_t>(at)];
-        ancestor[static_cast<size_t>(at)] = static_cast<int32_t>(k);
-        if (next == -1) parent[static_cast<size_t>(at)] = static_cast<int32_t>(k);
-        at = next;
-      }
-    }
-  }
-  return parent;
-}
-
-// The same elimination in an order in which every subtree is one stretch.
-std::vector<int32_t> postorder(std::span<const int32_t> parent) {
-  const size_t n = parent.size();
-  std::vector<int32_t> first(n, -1), next(n, -1), out, stack;
-  for (size_t i = n; i-- > 0;)
-    if (parent[i] >= 0) {
-      next[i] = first[static_cast<size_t>(parent[i])];
-      first[static_cast<size_t>(parent[i])] = static_cast<int32_t>(i);
-    }
-  out.reserve(n);
-  for (size_t root = 0; root < n; ++root) {
-    if (parent[root] >= 0) continue;
-    stack.push_back(static_cast<int32_t>(root));
-    while (!stack.empty()) {
-      const auto at = static_cast<size_t>(stack.back());
-      if (first[at] >= 0) {
-        stack.push_back(first[at]);
-        first[at] = next[static_cast<size_t>(first[at])];
-      } else {
-        out.push_back(stack.back());
-        stack.pop_back();
-      }
-    }
-  }
-  return out;
 }
 
 // Fundamental supernodes in postorder positions: columns [begin, end) with rows rows[row_begin ..].
@@ -237,14 +193,13 @@ Supernodes gather(const Fundamental& f, std::span<const int32_t> into, std::span
 }  // namespace
 
 Supernodes find_supernodes(const Adjacency& graph, std::span<const int32_t> weight, std::span<const int32_t> order) {
-  std::vector<int32_t> position = inverse_of(order);
-  std::vector<int32_t> renumber = postorder(tree_of(graph, order, position));
+  const std::vector<int32_t> renumber = postorder(elimination_tree(graph, order));
   std::vector<int32_t> arranged(order.size()), weight_at(order.size());
   for (size_t i = 0; i < order.size(); ++i) {
     arranged[i] = order[static_cast<size_t>(renumber[i])];
     weight_at[i] = weight[static_cast<size_t>(arranged[i])];
   }
-  position = inverse_of(arranged);
+  const std::vector<int32_t> position = inverse_of(arranged);
   const Fundamental fundamental = FundamentalBuilder(graph, arranged, position).build();
   return gather(fundamental, amalgamate(fundamental, weight_at), arranged);
 }

@@ -6,6 +6,9 @@ from heliograph.graph.factors import Bearing, Between, Landmark, LinearMotion, P
 from heliograph.graph.families import Family, family_of, vectors
 from heliograph.graph.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
 from heliograph.graph.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
+from heliograph.graph.settings import SolverSettings
+from heliograph.graph.solution import Solution
+from heliograph.graph.solve import solve
 from heliograph.graph.values import Values
 
 __all__ = [
@@ -28,10 +31,13 @@ __all__ = [
     "Position",
     "Prior",
     "Range",
+    "Solution",
+    "SolverSettings",
     "SquareRoot",
     "TruncatedLeastSquares",
     "Tukey",
     "Values",
     "family_of",
+    "solve",
     "vectors",
 ]

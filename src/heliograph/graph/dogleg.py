@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.graph.outcome import Iteration, Minimum, Observer
+from heliograph.graph.outcome import Minimum, Observer, Trace
 from heliograph.graph.problem import Cost, Problem
 from heliograph.graph.settings import SolverSettings
 
@@ -14,6 +14,7 @@ __all__ = ["dogleg"]
 Array = NDArray[np.float64]
 
 _LEAST_GAIN = 1e-4  # of the predicted decrease: less is no progress
+_LEAST_RADIUS = 1e-12  # of the Gauss-Newton step: below it nothing can be won
 _POOR, _GOOD = 0.25, 0.75  # gain ratios below and above which the region shrinks and grows
 
 
@@ -37,18 +38,14 @@ def dogleg(problem: Problem, settings: SolverSettings, cost: Cost, observe: Obse
     rejected step costs no factorisation. Where the normal equations are singular, the least damping that makes them
     factorise defines the Gauss-Newton step.
     """
-    steps: list[Iteration] = []
+    trace = Trace(observe)
     radius, model = np.inf, None
-    status = "max_iterations"
-    while len(steps) < settings.max_iterations:
+    while len(trace.steps) < settings.max_iterations:
         if model is None:
             key = _factorize(problem, settings)
             if key is not None:
-                return Minimum(
-                    status="indefinite", iterations=tuple(steps), chi2=cost.chi2, cost=cost.cost, indefinite_key=key
-                )
+                return trace.minimum("indefinite", cost, key)
             model = _Model(problem)
-            radius = min(radius, 1e30)
         step, length = model.step(radius)
         predicted = model.decrease(step)
         small = max(settings.relative_decrease * cost.cost, settings.absolute_decrease)
@@ -57,19 +54,13 @@ def dogleg(problem: Problem, settings: SolverSettings, cost: Cost, observe: Obse
         decrease = cost.cost - trial.cost
         gain = decrease / predicted if predicted > 0.0 else -1.0
         accepted = gain > _LEAST_GAIN
-        full = length >= model.newton_length * (1.0 - 1e-12)
         if accepted:
             problem.accept()
             cost = trial
-        steps.append(
-            Iteration(
-                number=len(steps) + 1, cost=cost.cost, chi2=cost.chi2, accepted=accepted, gain_ratio=gain, damping=radius
-            )
-        )
-        observe(steps[-1])
-        if (accepted and full and decrease <= small) or predicted <= small * (1.0 if full else 1e-3):
-            status = "converged"
-            break
+        trace.record(cost, accepted=accepted, gain_ratio=gain, damping=length)
+        full = length >= model.newton_length
+        if full and (decrease if accepted else predicted) <= small:
+            return trace.minimum("converged", cost)
         if not gain >= _POOR:
             radius = 0.25 * length
         elif gain > _GOOD:
@@ -77,10 +68,9 @@ def dogleg(problem: Problem, settings: SolverSettings, cost: Cost, observe: Obse
         if accepted:
             problem.linearize()
             model = None
-        elif radius < 1e-14 * model.newton_length:
-            status = "stalled"
-            break
-    return Minimum(status=status, iterations=tuple(steps), chi2=cost.chi2, cost=cost.cost)
+        elif radius < _LEAST_RADIUS * model.newton_length:
+            return trace.minimum("stalled", cost)
+    return trace.minimum("max_iterations", cost)
 
 
 def _factorize(problem: Problem, settings: SolverSettings) -> int | None:
@@ -96,6 +86,10 @@ def _factorize(problem: Problem, settings: SolverSettings) -> int | None:
             return key
 
 
+def _dot(a: Array, b: Array) -> float:
+    return float(np.einsum("i,i->", a, b))  # not BLAS: it would use threads of its own
+
+
 class _Model:
     """The quadratic model at the present values, with its steepest-descent and Gauss-Newton steps."""
 
@@ -106,8 +100,8 @@ class _Model:
         self.newton = problem.native.step()
         self.newton_length = self._length(self.newton)
         direction = -self.g / self.D
-        curvature = float(direction @ self._multiply(direction))
-        slope = float(self.g @ direction)
+        curvature = _dot(direction, self._multiply(direction))
+        slope = _dot(self.g, direction)
         self.cauchy = direction * (-slope / curvature) if curvature > 0.0 else direction
 
     def _length(self, p: Array) -> float:
@@ -128,4 +122,4 @@ class _Model:
 
     def decrease(self, p: Array) -> float:
         """Return by how much the model says that the cost falls along p: ``-2 g'p - p'H p``."""
-        return float(-2.0 * (self.g @ p) - p @ self._multiply(p))
+        return -2.0 * _dot(self.g, p) - _dot(p, self._multiply(p))

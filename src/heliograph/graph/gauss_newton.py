@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from heliograph.graph.outcome import Iteration, Minimum, Observer
+from heliograph.graph.outcome import Minimum, Observer, Trace
 from heliograph.graph.problem import Cost, Problem
 from heliograph.graph.settings import SolverSettings
 
@@ -29,31 +27,23 @@ def gauss_newton(problem: Problem, settings: SolverSettings, cost: Cost, observe
     -----
     A step that raises the cost ends the search with the values before it: Gauss-Newton has no way to shorten it.
     """
-    steps: list[Iteration] = []
-    status = "max_iterations"
-    while len(steps) < settings.max_iterations:
+    trace = Trace(observe)
+    while len(trace.steps) < settings.max_iterations:
         key = problem.factorize(0.0, settings.damping_floor)
         if key is not None:
-            return Minimum(status="indefinite", iterations=tuple(steps), chi2=cost.chi2, cost=cost.cost, indefinite_key=key)
+            return trace.minimum("indefinite", cost, key)
         predicted = problem.linear_step(0.0, settings.damping_floor)
         trial = problem.try_step()
         decrease = cost.cost - trial.cost
         small = max(settings.relative_decrease * cost.cost, settings.absolute_decrease)
         accepted = bool(decrease >= 0.0)
-        before, cost = cost, trial if accepted else cost
-        ratio = decrease / predicted if predicted > 0.0 else np.nan
-        steps.append(
-            Iteration(number=len(steps) + 1, cost=cost.cost, chi2=cost.chi2, accepted=accepted, gain_ratio=ratio, damping=0.0)
-        )
-        observe(steps[-1])
         if accepted:
             problem.accept()
-        if abs(decrease) <= small or predicted <= small * 1e-3:
-            status = "converged"
-            break
+            cost = trial
+        trace.record(cost, accepted=accepted, gain_ratio=decrease / predicted if predicted > 0.0 else 0.0, damping=0.0)
+        if abs(decrease) <= small or predicted <= small:
+            return trace.minimum("converged", cost)
         if not accepted:
-            status = "diverged"
-            break
-        del before
+            return trace.minimum("diverged", cost)
         problem.linearize()
-    return Minimum(status=status, iterations=tuple(steps), chi2=cost.chi2, cost=cost.cost)
+    return trace.minimum("max_iterations", cost)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from heliograph.graph.outcome import Iteration, Minimum, Observer
+from heliograph.graph.outcome import Minimum, Observer, Trace
 from heliograph.graph.problem import Cost, Problem
 from heliograph.graph.settings import SolverSettings
 
@@ -10,6 +10,7 @@ __all__ = ["levenberg_marquardt"]
 
 _LEAST_GAIN = 1e-4  # of the predicted decrease: less is no progress
 _UNDAMPED = 1e-2  # up to this damping a step counts as a full one
+_SHRINK = 0.1  # of the damping, at most, after a good step
 _GROWTH = 4.0  # of the damping after a rejection, and of itself after each further one
 
 
@@ -32,11 +33,10 @@ def levenberg_marquardt(problem: Problem, settings: SolverSettings, cost: Cost, 
     Marquardt's scaling: the damping is relative to the diagonal, so units do not matter. The update of the damping is
     Nielsen's (1999). The gain ratio divides the decrease of the true robust cost by that of the quadratic model.
     """
-    steps: list[Iteration] = []
+    trace = Trace(observe)
     damping, growth = settings.initial_damping, _GROWTH
-    status = "max_iterations"
-    while len(steps) < settings.max_iterations:
-        used, decrease, predicted = damping, -1.0, 0.0
+    while len(trace.steps) < settings.max_iterations:
+        used, decrease, predicted = damping, 0.0, 0.0
         small = max(settings.relative_decrease * cost.cost, settings.absolute_decrease)
         key = problem.factorize(damping, settings.damping_floor)
         if key is None:
@@ -48,26 +48,17 @@ def levenberg_marquardt(problem: Problem, settings: SolverSettings, cost: Cost, 
         if accepted:
             problem.accept()
             cost = trial
-            damping = max(damping * max(1.0 / 10.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-15)
+            damping = max(damping * max(_SHRINK, 1.0 - (2.0 * gain - 1.0) ** 3), settings.damping_floor)
             growth = _GROWTH
         else:
-            damping, growth = max(damping, 1e-6) * growth, _GROWTH * growth
-        steps.append(
-            Iteration(
-                number=len(steps) + 1, cost=cost.cost, chi2=cost.chi2, accepted=accepted, gain_ratio=gain, damping=used
-            )
-        )
-        observe(steps[-1])
-        if key is None and used <= _UNDAMPED and (predicted <= small if not accepted else decrease <= small):
-            status = "converged"
-            break
+            damping, growth = max(damping, settings.initial_damping) * growth, _GROWTH * growth
+        trace.record(cost, accepted=accepted, gain_ratio=gain, damping=used)
+        if key is None and used <= _UNDAMPED and (decrease if accepted else predicted) <= small:
+            return trace.minimum("converged", cost)
         if damping > settings.max_damping:
             if key is not None:
-                return Minimum(
-                    status="indefinite", iterations=tuple(steps), chi2=cost.chi2, cost=cost.cost, indefinite_key=key
-                )
-            status = "stalled" if predicted > small else "converged"
-            break
+                return trace.minimum("indefinite", cost, key)
+            return trace.minimum("converged" if predicted <= small else "stalled", cost)
         if accepted:
             problem.linearize()
-    return Minimum(status=status, iterations=tuple(steps), chi2=cost.chi2, cost=cost.cost)
+    return trace.minimum("max_iterations", cost)

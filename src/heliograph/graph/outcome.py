@@ -6,7 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-__all__ = ["Iteration", "Minimum", "Observer"]
+from heliograph.graph.problem import Cost
+
+__all__ = ["Iteration", "Minimum", "Observer", "Trace"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,8 +49,8 @@ class Minimum:
     Parameters
     ----------
     status : str
-        ``converged``, ``max_iterations``, ``stalled`` (no step lowers the cost although the model says so), ``diverged``
-        (Gauss-Newton's cost rose) or ``indefinite`` (the normal equations have no Cholesky factor).
+        ``converged``, ``max_iterations``, ``stalled`` (no step lowers the cost although the model says so),
+        ``diverged`` (Gauss-Newton's cost rose) or ``indefinite`` (the normal equations have no Cholesky factor).
     iterations : tuple of Iteration
         All of them.
     chi2, cost : float
@@ -62,3 +64,36 @@ class Minimum:
     chi2: float
     cost: float
     indefinite_key: int | None = None
+
+
+class Trace:
+    """The iterations of one search, as they happen."""
+
+    __slots__ = ("_observe", "steps")
+
+    def __init__(self, observe: Observer) -> None:
+        self.steps: list[Iteration] = []
+        self._observe = observe
+
+    def record(self, cost: Cost, *, accepted: bool, gain_ratio: float, damping: float) -> None:
+        """Note a step and tell the observer."""
+        step = Iteration(
+            number=len(self.steps) + 1,
+            cost=cost.cost,
+            chi2=cost.chi2,
+            accepted=accepted,
+            gain_ratio=gain_ratio,
+            damping=damping,
+        )
+        self.steps.append(step)
+        self._observe(step)
+
+    def minimum(self, status: str, cost: Cost, indefinite_key: int | None = None) -> Minimum:
+        """Return the search's report."""
+        return Minimum(
+            status=status,
+            iterations=tuple(self.steps),
+            chi2=cost.chi2,
+            cost=cost.cost,
+            indefinite_key=indefinite_key,
+        )

@@ -97,7 +97,7 @@ class Problem:
     def _add(self, group: ResolvedGroup) -> int:
         noise = group.noise
         return self.native.add_group(
-            group.type,
+            group.code,
             group.variables,
             group.rows,
             group.measurement,
@@ -132,7 +132,7 @@ class Problem:
         return int(self.start.keys()[variable])
 
     def tangents(self, variables: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return where the tangent vectors of dense variables (N,) begin in the flat one, and their sizes, (N,) each."""
+        """Return where the tangents of dense variables (N,) begin in the flat vector, and their sizes, (N,) each."""
         dofs = np.array([family.dof for family in self.families], dtype=np.int64)
         bases = np.concatenate([[0], np.cumsum(dofs * np.array(self.start.counts(), dtype=np.int64))])
         number = np.searchsorted(self._firsts, variables, side="right") - 1
@@ -215,4 +215,6 @@ class Problem:
                     f"{self.graph.name(number)}: its residual is not finite at the given values; "
                     "mend the values of its variables or its measurement"
                 )
-        raise GraphError(f"the cost is {cost.cost} although every residual is finite: the residuals are too large to square")
+        raise GraphError(
+            f"the cost is {cost.cost} although every residual is finite: the residuals are too large to square"
+        )
