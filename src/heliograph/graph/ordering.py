@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
-from heliograph.errors import DataError
+from heliograph.errors import GraphError
 
 __all__ = ["Fill", "Pattern", "minimum_degree", "nested_dissection"]
 
@@ -68,7 +68,7 @@ class Pattern:
 
         Raises
         ------
-        DataError
+        GraphError
             If a pair names a node that has no weight.
         """
         weights = np.ascontiguousarray(weight, np.int32)
@@ -76,7 +76,7 @@ class Pattern:
         count = len(weights)
         if pairs.size and (pairs.min() < 0 or pairs.max() >= count):
             wrong = pairs[((pairs < 0) | (pairs >= count)).any(axis=1)][0]
-            raise DataError(
+            raise GraphError(
                 f"edge {wrong.tolist()} leaves the {count} nodes that have a weight; number nodes from 0 to {count - 1}"
             )
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]
@@ -90,7 +90,7 @@ class Pattern:
 
         Raises
         ------
-        DataError
+        GraphError
             If the order is not a permutation of the nodes.
 
         Notes
@@ -102,7 +102,7 @@ class Pattern:
         try:
             nonzeros, flops, parent, counts = _core.order_fill(self.offset, self.neighbour, self.weight, chosen)
         except ValueError as error:
-            raise DataError(f"fill of an order of {chosen.size} over {self.weight.size} nodes: {error}") from error
+            raise GraphError(f"fill of an order of {chosen.size} over {self.weight.size} nodes: {error}") from error
         return Fill(nonzeros=nonzeros, flops=flops, parent=parent, column_counts=counts)
 
 
@@ -118,7 +118,7 @@ def minimum_degree(pattern: Pattern, group: ArrayLike | None = None) -> Order:
 
     Raises
     ------
-    DataError
+    GraphError
         If a weight is not positive or the group has another length.
 
     Notes
@@ -130,7 +130,7 @@ def minimum_degree(pattern: Pattern, group: ArrayLike | None = None) -> Order:
     try:
         return np.asarray(_core.order_minimum_degree(pattern.offset, pattern.neighbour, pattern.weight, groups))
     except ValueError as error:
-        raise DataError(f"minimum degree order of {pattern.weight.size} nodes: {error}") from error
+        raise GraphError(f"minimum degree order of {pattern.weight.size} nodes: {error}") from error
 
 
 def nested_dissection(pattern: Pattern) -> Order:
@@ -140,7 +140,7 @@ def nested_dissection(pattern: Pattern) -> Order:
 
     Raises
     ------
-    DataError
+    GraphError
         If a weight is not positive.
 
     Notes
@@ -151,4 +151,4 @@ def nested_dissection(pattern: Pattern) -> Order:
     try:
         return np.asarray(_core.order_nested_dissection(pattern.offset, pattern.neighbour, pattern.weight))
     except ValueError as error:
-        raise DataError(f"nested dissection of {pattern.weight.size} nodes: {error}") from error
+        raise GraphError(f"nested dissection of {pattern.weight.size} nodes: {error}") from error

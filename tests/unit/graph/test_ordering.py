@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heliograph.errors import DataError
+from heliograph.errors import GraphError
 from heliograph.graph.ordering import Pattern, minimum_degree, nested_dissection
 from reference.elimination import eliminate_slowly, minimum_degree_slowly
 
@@ -154,24 +154,24 @@ def test_order_does_not_depend_on_the_unit_of_weights(order):
 
 
 def test_pattern_refuses_an_edge_to_an_unknown_node():
-    with pytest.raises(DataError, match=r"edge \[1, 5\] leaves the 3 nodes"):
+    with pytest.raises(GraphError, match=r"edge \[1, 5\] leaves the 3 nodes"):
         Pattern.from_edges([(0, 1), (1, 5)], [1, 1, 1])
 
 
 @pytest.mark.parametrize("order", ORDERS)
 def test_order_refuses_a_weight_of_zero(order):
-    with pytest.raises(DataError, match="positive weights"):
+    with pytest.raises(GraphError, match="positive weights"):
         order(Pattern.from_edges([(0, 1)], [1, 0]))
 
 
 def test_minimum_degree_refuses_groups_of_another_length():
-    with pytest.raises(DataError, match="one group a node"):
+    with pytest.raises(GraphError, match="one group a node"):
         minimum_degree(Pattern.from_edges([(0, 1)], [1, 1]), [0])
 
 
 @pytest.mark.parametrize("order", [[0, 0], [0], [0, 2], [-1, 0]])
 def test_fill_refuses_what_is_not_a_permutation(order):
-    with pytest.raises(DataError, match="every node once"):
+    with pytest.raises(GraphError, match="every node once"):
         Pattern.from_edges([(0, 1)], [1, 1]).fill(order)
 
 
@@ -181,5 +181,5 @@ def test_fill_refuses_what_is_not_a_permutation(order):
 )
 def test_orders_refuse_rows_that_are_no_graph(offset, neighbour):
     rows = np.array(offset, np.int64), np.array(neighbour, np.int32)
-    with pytest.raises(DataError):
+    with pytest.raises(GraphError):
         minimum_degree(Pattern(offset=rows[0], neighbour=rows[1], weight=np.ones(2, np.int32)))
