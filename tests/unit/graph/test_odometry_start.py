@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tests.reference.spanning import spanning_start as reference
+from reference.spanning import spanning_start as reference
 
 from heliograph.errors import DataError
 from heliograph.graph.odometry_start import odometry_start
