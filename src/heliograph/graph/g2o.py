@@ -54,7 +54,7 @@ def read_pose_graph(path: Path | str) -> PoseGraphFile:
         dimension=dimension, tables=tuple(tables), fixed=fixed, fixed_line=fixed_line, others=tuple(others)
     )
     _check_ids(path, graph)
-    unknown = np.setdiff1d(fixed, np.union1d(graph.pose_ids, graph.point_ids))
+    unknown = np.setdiff1d(fixed, np.concatenate([graph.pose_ids, graph.point_ids])) if len(fixed) else fixed
     if len(unknown):
         line = fixed_line[np.argmax(fixed == unknown[0])]
         raise FormatError(path, f"line {line}: FIX names id {unknown[0]}, which no vertex or edge has; remove it")
@@ -171,7 +171,7 @@ def _check_ids(path: Path, graph: PoseGraphFile) -> None:
                 path,
                 f"line {lines[second]}: id {ids[second]} was given in line {lines[first]} already; renumber one",
             )
-    both = np.intersect1d(graph.pose_ids, graph.point_ids)
+    both = np.intersect1d(graph.pose_ids, graph.point_ids) if len(graph.point_ids) else graph.point_ids
     if len(both):
         table = next(t for t in graph.tables if (t.ids == both[0]).any())
         line = table.line[np.argmax((table.ids == both[0]).any(axis=1))]

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.graph.odometry_start import odometry_start
+from heliograph.graph.odometry_start import distinct, odometry_start
 from heliograph.graph.row_kinds import KINDS, Role, numbers_of
 from heliograph.graph.tables import Table
 from heliograph.lie import SE2, SE3
 
 if TYPE_CHECKING:
-    from heliograph.graph.graph import FactorGraph
+    from heliograph.graph.factor_graph import FactorGraph
     from heliograph.graph.kernels import Kernel
     from heliograph.graph.values import Values
 
@@ -105,7 +105,7 @@ class PoseGraphFile:
     def missing_ids(self) -> Ints:
         """Poses and landmarks that no line gives a value, ascending, (M,) int64."""
         given = _union([table.ids[:, 0] for table in self.of_role("pose", "point")])
-        return np.setdiff1d(_union([self.pose_ids, self.point_ids]), given, assume_unique=True)
+        return _without(_union([self.pose_ids, self.point_ids]), given)
 
     @cached_property
     def edges(self) -> tuple[Ints, Ints, SE2 | SE3]:
@@ -134,7 +134,7 @@ class PoseGraphFile:
         """Return component labels with those joined that see a common landmark."""
         label = root.copy()
         tables = self.of_role("landmark")
-        if not tables or len(np.unique(root)) == 1:
+        if not tables or len(distinct(root)) == 1:
             return label
         pairs = np.concatenate([table.ids for table in tables])
         pose, point = np.searchsorted(ids, pairs[:, 0]), np.searchsorted(self.point_ids, pairs[:, 1])
@@ -156,8 +156,7 @@ class PoseGraphFile:
         ids, component, _ = self._start
         anchors = [self.fixed, *(t.ids[:, 0] for t in self.of_role("pose_prior", "position_prior"))]
         anchored = component[np.isin(ids, np.concatenate(anchors))]
-        free = np.setdiff1d(component, anchored)
-        return np.union1d(self.fixed, free)
+        return _union([self.fixed, _without(distinct(component), distinct(anchored))])
 
     def odometry_values(self) -> Values:
         """Return a start from the relative poses, see `odometry_start`; landmarks by the first pose that sees them.
@@ -235,7 +234,7 @@ class PoseGraphFile:
         Factor numbers run through the kinds in the order of `tables`, and within a kind in that of the file.
         """
         from heliograph.graph.factors import Between, Landmark, Position, Prior
-        from heliograph.graph.graph import FactorGraph
+        from heliograph.graph.factor_graph import FactorGraph
         from heliograph.graph.noise import Information
 
         group = SE2 if self.dimension == 2 else SE3
@@ -291,5 +290,13 @@ class PoseGraphFile:
         )
 
 
+def _without(ids: Ints, taken: Ints) -> Ints:
+    """Return those of `ids` that are not in `taken`, both ascending."""
+    if not len(taken):
+        return ids
+    at = np.minimum(np.searchsorted(taken, ids), len(taken) - 1)
+    return np.asarray(ids[taken[at] != ids])
+
+
 def _union(parts: list[Ints]) -> Ints:
-    return np.unique(np.concatenate(parts)) if parts else np.empty(0, dtype=np.int64)
+    return distinct(np.concatenate(parts)) if parts else np.empty(0, dtype=np.int64)
