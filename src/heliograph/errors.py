@@ -11,10 +11,12 @@ __all__ = [
     "ConfigError",
     "DataError",
     "FormatError",
+    "GraphError",
     "HeliographError",
     "MissingDependencyError",
     "OutputError",
     "TopicError",
+    "UnderconstrainedError",
     "closest",
 ]
 
@@ -33,6 +35,26 @@ class DataError(HeliographError):
 
 class TopicError(DataError):
     """A topic is missing, or the choice between several is not clear; the message lists the valid ones."""
+
+
+class GraphError(DataError):
+    """A factor graph cannot be used as it is; the message names the factors and the keys."""
+
+
+class UnderconstrainedError(GraphError):
+    """A factor graph leaves something undetermined.
+
+    Parameters
+    ----------
+    message : str
+        What is free, and the remedy.
+    diagnosis : object, optional
+        The record that says which variables can move, and how.
+    """
+
+    def __init__(self, message: str, diagnosis: object = None) -> None:
+        super().__init__(message)
+        self.diagnosis = diagnosis
 
 
 class FormatError(HeliographError):

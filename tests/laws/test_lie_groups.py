@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heliograph.lie import SE2, SE3, SO2, SO3, s2, se3, so3
+from heliograph.lie import SE2, SE3, SO2, SO3, ExtendedPose, s2, se3, so3
 from heliograph.testing import assert_jacobian, assert_lie_group
 
-GROUPS = [SO2, SO3, SE2, SE3]
+GROUPS = [SO2, SO3, SE2, SE3, ExtendedPose]
 
 
 @pytest.mark.parametrize("group", GROUPS)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import DataError
-from heliograph.lie import s2, se2, se3, so2, so3
+from heliograph.lie import s2, se2, se3, se23, so2, so3
 
-__all__ = ["S2", "SE2", "SE3", "SO2", "SO3", "MatrixGroup"]
+__all__ = ["S2", "SE2", "SE3", "SO2", "SO3", "ExtendedPose", "MatrixGroup"]
 
 Array = NDArray[np.float64]
 Self = TypeVar("Self", bound="MatrixGroup")
@@ -25,7 +25,7 @@ def _read_only(value: ArrayLike) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatrixGroup:
-    """What the four matrix groups share; use a subclass.
+    """What the five matrix groups share; use a subclass.
 
     Parameters
     ----------
@@ -38,7 +38,8 @@ class MatrixGroup:
     ops: ClassVar[Any]  # the module with the array functions
     size: ClassVar[int]  # of the matrix
     dof: ClassVar[int]  # of the tangent space
-    space: ClassVar[int]  # dimension of the points it acts on
+    turns: ClassVar[int]  # how many of the tangent's numbers are rotation; they come first
+    space: ClassVar[int]  # dimension of the points it acts on; 0: it acts on none
 
     def __post_init__(self) -> None:
         value = _read_only(self.matrix)
@@ -99,6 +100,8 @@ class MatrixGroup:
                 return NotImplemented
             return type(self)(self.matrix @ other.matrix)
         points = np.asarray(other)
+        if self.space == 0:
+            raise DataError(f"{type(self).__name__} does not act on points; use its rotation and position")
         if points.shape[-1:] != (self.space,):
             raise DataError(f"{type(self).__name__} acts on points (..., {self.space}), got shape {points.shape}")
         return self._act(points)
@@ -125,6 +128,7 @@ class SO2(MatrixGroup):
     ops: ClassVar[Any] = so2
     size: ClassVar[int] = 2
     dof: ClassVar[int] = 1
+    turns: ClassVar[int] = 1
     space: ClassVar[int] = 2
 
 
@@ -135,6 +139,7 @@ class SO3(MatrixGroup):
     ops: ClassVar[Any] = so3
     size: ClassVar[int] = 3
     dof: ClassVar[int] = 3
+    turns: ClassVar[int] = 3
     space: ClassVar[int] = 3
 
     @classmethod
@@ -180,6 +185,7 @@ class SE2(_Rigid):
     ops: ClassVar[Any] = se2
     size: ClassVar[int] = 3
     dof: ClassVar[int] = 3
+    turns: ClassVar[int] = 1
     space: ClassVar[int] = 2
 
 
@@ -190,7 +196,39 @@ class SE3(_Rigid):
     ops: ClassVar[Any] = se3
     size: ClassVar[int] = 4
     dof: ClassVar[int] = 6
+    turns: ClassVar[int] = 3
     space: ClassVar[int] = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExtendedPose(MatrixGroup):
+    """Attitude, position and velocity (SE_2(3)); tangent (theta_x, theta_y, theta_z, x, y, z, vx, vy, vz)."""
+
+    ops: ClassVar[Any] = se23
+    size: ClassVar[int] = 5
+    dof: ClassVar[int] = 9
+    turns: ClassVar[int] = 3
+    space: ClassVar[int] = 0
+
+    @classmethod
+    def from_rotation_position_velocity(cls, R: ArrayLike, p: ArrayLike, v: ArrayLike) -> ExtendedPose:
+        """Return the element of a rotation (..., 3, 3), a position (..., 3) [m] and a velocity (..., 3) [m/s]."""
+        return cls(se23.from_rotation_position_velocity(R, p, v))
+
+    @property
+    def rotation(self) -> Array:
+        """The rotation matrix, (..., 3, 3)."""
+        return self.matrix[..., :3, :3]
+
+    @property
+    def position(self) -> Array:
+        """The position, (..., 3) [m]."""
+        return self.matrix[..., :3, 3]
+
+    @property
+    def velocity(self) -> Array:
+        """The velocity, (..., 3) [m/s]."""
+        return self.matrix[..., :3, 4]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
