@@ -135,11 +135,11 @@ def _pairs(graph: FactorGraph, names: NDArray[np.int64]) -> NDArray[np.int64]:
         return np.empty((0, 2), dtype=np.int64)
     keys = np.concatenate(parts)
     at = np.minimum(np.searchsorted(names, keys), len(names) - 1)
-    return at[(names[at] == keys).all(axis=1)]
+    return np.asarray(at[(names[at] == keys).all(axis=1)])
 
 
 def _segments(positions: Array, pairs: NDArray[np.int64]) -> Array:
     """Return lines between pairs as one line with gaps, (d, 3 M): a thousand times faster to draw than M lines."""
     lines = np.full((len(pairs), 3, positions.shape[1]), np.nan)
     lines[:, :2] = positions[pairs]
-    return lines.reshape(-1, positions.shape[1]).T
+    return np.asarray(lines.reshape(-1, positions.shape[1]).T)

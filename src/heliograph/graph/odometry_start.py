@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +13,6 @@ from heliograph.lie import SE2, SE3
 
 __all__ = ["SpanningStart", "distinct", "odometry_start"]
 
-Pose = TypeVar("Pose", SE2, SE3)
 Ints = NDArray[np.int64]
 
 
@@ -46,7 +44,7 @@ def distinct(ids: Ints) -> Ints:
     return ordered[np.concatenate([[True], np.diff(ordered) != 0])] if len(ordered) else ordered
 
 
-def odometry_start(i: ArrayLike, j: ArrayLike, T_i_j: Pose, ids: ArrayLike | None = None) -> SpanningStart:
+def odometry_start(i: ArrayLike, j: ArrayLike, T_i_j: SE2 | SE3, ids: ArrayLike | None = None) -> SpanningStart:
     """Return poses from relative poses: odometry first, the rest by a breadth-first spanning tree.
 
     The lowest id of a component is at the origin. Each next id follows by its edge from the previous one, in either

@@ -5,27 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.graph.factor_graph import FactorGraph
+from heliograph.graph.factors import Between, Landmark, Position, Prior
+from heliograph.graph.kernels import Kernel
+from heliograph.graph.noise import Information
 from heliograph.graph.odometry_start import distinct, odometry_start
 from heliograph.graph.row_kinds import KINDS, Role, numbers_of
 from heliograph.graph.tables import Table
+from heliograph.graph.values import Values
 from heliograph.lie import SE2, SE3
-
-if TYPE_CHECKING:
-    from heliograph.graph.factor_graph import FactorGraph
-    from heliograph.graph.kernels import Kernel
-    from heliograph.graph.values import Values
 
 __all__ = ["PoseGraphFile"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_ORDER = ("between", "landmark", "pose_prior", "position_prior")
+_FACTORS: tuple[Role, ...] = ("between", "landmark", "pose_prior", "position_prior")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)  # without slots: what follows from the rows is kept once computed
@@ -121,7 +120,7 @@ class PoseGraphFile:
     @property
     def edge_count(self) -> int:
         """Number of factors of all kinds."""
-        return sum(len(table) for table in self.of_role(*_ORDER))  # type: ignore[arg-type]
+        return sum(len(table) for table in self.of_role(*_FACTORS))
 
     @cached_property
     def _start(self) -> tuple[Ints, Ints, Array]:
@@ -132,22 +131,20 @@ class PoseGraphFile:
 
     def _joined(self, ids: Ints, root: Ints) -> Ints:
         """Return component labels with those joined that see a common landmark."""
-        label = root.copy()
         tables = self.of_role("landmark")
-        if not tables or len(distinct(root)) == 1:
-            return label
+        names, index = np.unique(root, return_inverse=True)
+        if not tables or len(names) == 1:
+            return root
         pairs = np.concatenate([table.ids for table in tables])
-        pose, point = np.searchsorted(ids, pairs[:, 0]), np.searchsorted(self.point_ids, pairs[:, 1])
-        lowest = np.full(len(self.point_ids), np.iinfo(np.int64).max)
-        while True:
+        pose, point = index[np.searchsorted(ids, pairs[:, 0])], np.searchsorted(self.point_ids, pairs[:, 1])
+        label = names
+        while True:  # the lowest name spreads from component to landmark to component
+            lowest = np.full(len(self.point_ids), np.iinfo(np.int64).max)
             np.minimum.at(lowest, point, label[pose])
-            by_root = dict.fromkeys(np.unique(root).tolist(), np.iinfo(np.int64).max)
-            for r, value in zip(root[pose].tolist(), np.minimum(lowest[point], label[pose]).tolist(), strict=True):
-                by_root[r] = min(by_root[r], value)
-            values, index = np.unique(root, return_inverse=True)
-            updated = np.minimum(label, np.array([by_root[v] for v in values.tolist()])[index])
+            updated = label.copy()
+            np.minimum.at(updated, pose, lowest[point])
             if (updated == label).all():
-                return label
+                return np.asarray(updated[index])
             label = updated
 
     @cached_property
@@ -164,8 +161,6 @@ class PoseGraphFile:
         A component that holds FIX lines with a value, or priors, is moved so that the lowest such pose is where that
         says; fixed poses keep their values.
         """
-        from heliograph.graph.values import Values
-
         ids, component, T = self._start
         T = self._placed(ids, component, T)
         group = SE2 if self.dimension == 2 else SE3
@@ -191,7 +186,7 @@ class PoseGraphFile:
             said.update(zip(fixed.tolist(), stacked[at], strict=True))
         if not said:
             return T
-        out = T.copy()
+        out: Array = T.copy()
         anchors = np.array(sorted(said), dtype=np.int64)
         for label in np.unique(component[np.searchsorted(ids, anchors)]).tolist():
             members = np.flatnonzero(component == label)
@@ -218,8 +213,6 @@ class PoseGraphFile:
 
     def values(self) -> Values:
         """Return the values that the file gives, in its order; those of `missing_ids` are not among them."""
-        from heliograph.graph.values import Values
-
         group = SE2 if self.dimension == 2 else SE3
         values = Values()
         for table in self.of_role("pose"):
@@ -233,14 +226,10 @@ class PoseGraphFile:
 
         Factor numbers run through the kinds in the order of `tables`, and within a kind in that of the file.
         """
-        from heliograph.graph.factors import Between, Landmark, Position, Prior
-        from heliograph.graph.factor_graph import FactorGraph
-        from heliograph.graph.noise import Information
-
         group = SE2 if self.dimension == 2 else SE3
         graph = FactorGraph()
-        for table in self.of_role(*_ORDER):  # type: ignore[arg-type]
-            noise = Information(table.information)
+        for table in self.of_role(*_FACTORS):
+            noise = Information(_shared(table.information))
             role, i = table.kind.role, table.ids[:, 0]
             if role == "between":
                 graph.add(Between(i, table.ids[:, 1], group(table.matrices), noise, kernel=kernel))
@@ -288,6 +277,12 @@ class PoseGraphFile:
         return next(
             (partner[tag] for tag in tags if tag in partner), "VERTEX_SE2" if self.dimension == 2 else "VERTEX_SE3:QUAT"
         )
+
+
+def _shared(information: Array) -> Array:
+    """Return the one matrix that all of (N, d, d) are, or all of them."""
+    same = len(information) > 0 and bool((information == information[:1]).all())
+    return information[0] if same else information
 
 
 def _without(ids: Ints, taken: Ints) -> Ints:

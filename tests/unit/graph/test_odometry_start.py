@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from reference.spanning import spanning_start as reference
 
 from heliograph.errors import DataError
 from heliograph.graph.odometry_start import odometry_start
 from heliograph.lie import SE2, SE3
+from reference.spanning import spanning_start as reference
 
 
 def random_graph(rng, group, n=60, m=90):
