@@ -16,8 +16,8 @@ TERMS = 10_000  # far more than any degree of freedom in use needs: about sqrt(d
 def chi_square_cdf(x: float, dof: int) -> float:
     """Return the probability that the squared length of `dof` independent unit normals is at most `x`.
 
-    It is the regularised incomplete gamma function P(dof/2, x/2), by its power series below the mean and by its continued
-    fraction above ([1]_ sections 6.5.29 and 6.5.31, the latter by Lentz's method), each where it converges fast.
+    It is the regularised incomplete gamma function P(dof/2, x/2), by its power series below the mean and by its
+    continued fraction above ([1]_ sections 6.5.29 and 6.5.31, the latter by Lentz's method), each where it is fast.
 
     References
     ----------

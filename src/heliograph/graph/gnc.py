@@ -121,10 +121,10 @@ def solve_robust(
 ) -> RobustSolution:
     """Estimate the values and tell which factors are outliers (docs/theory/graph.md, eqs. 40-45).
 
-    Graduated non-convexity needs an estimate near the truth to begin with, or a solver that needs none ([1]_ uses global
-    ones). Here the trusted factors give one, in stages: the trusted factors alone; with them those doubtful relative
-    poses that another one bears out, graduated from convex to the chosen surrogate; then every doubtful factor by
-    Geman-McClure weights; last, hard inliers until they are the same twice.
+    Graduated non-convexity needs an estimate near the truth to begin with, or a solver that needs none ([1]_ uses
+    global ones). Here the trusted factors give one, in stages: the trusted factors alone; with them those doubtful
+    relative poses that another one bears out, graduated from convex to the chosen surrogate; then every doubtful factor
+    by Geman-McClure weights; last, hard inliers until they are the same twice.
 
     Parameters
     ----------
@@ -133,8 +133,8 @@ def solve_robust(
     values : Values
         One for every variable. Those that trusted factors determine are started from these factors.
     trusted : (K,) int or (N,) bool, optional
-        Numbers of factors that are right, such as odometry and priors. Default: all but the between factors of keys that
-        do not follow each other.
+        Numbers of factors that are right, such as odometry and priors. Default: all but the between factors of keys
+        that do not follow each other.
     settings : RobustSettings, optional
         Thresholds and schedule.
     threads : int
@@ -174,7 +174,7 @@ def solve_robust(
         chi2=float(run.squared[inliers].sum()),
         rounds=run.rounds,
         iterations=run.iterations,
-        start=f"{int(known.sum())} trusted factors; {int(borne.sum())} of {int((~known).sum())} doubtful ones borne out",
+        start=f"{int(known.sum())} trusted factors; {int(borne.sum())} of {int((~known).sum())} others borne out",
     )
 
 
@@ -191,9 +191,10 @@ def _trusted(graph: FactorGraph, trusted: ArrayLike | None) -> Mask:
     if given.dtype == np.bool_:
         if given.shape != known.shape:
             raise GraphError(f"trusted: a mask of shape {given.shape} for {len(graph)} factors")
-        return given.copy()
+        known[:] = given
+        return known
     numbers = given.astype(np.int64).reshape(-1)
-    if len(numbers) and not (0 <= numbers.min() and numbers.max() < len(graph)):
+    if len(numbers) and (numbers.min() < 0 or numbers.max() >= len(graph)):
         raise GraphError(
             f"trusted: factors {numbers.min()} to {numbers.max()}, but the graph has 0 to {len(graph) - 1}"
         )

@@ -18,7 +18,7 @@ from heliograph.graph.start import choose_start
 from heliograph.graph.subgraph import subgraph
 from heliograph.graph.support import Stretch, agreeing
 from heliograph.graph.values import Values
-from heliograph.lie import SE2, SE3
+from heliograph.lie import SE2, SE3, se2, se3
 
 __all__ = ["Rounds", "geman_mcclure_weight", "truncated_weight"]
 
@@ -39,7 +39,7 @@ def truncated_weight(squared: Array, mu: float) -> Array:
     .. [1] H. Yang et al., "Graduated non-convexity for robust spatial perception", RA-L 2020.
     """
     low, high = mu / (mu + 1.0), (mu + 1.0) / mu
-    between = np.sqrt(mu * (mu + 1.0) / np.maximum(squared, 1e-300)) - mu
+    between = np.sqrt(mu * (mu + 1.0) / np.maximum(squared, 1e-100)) - mu
     return np.clip(np.where(squared >= high, 0.0, np.where(squared <= low, 1.0, between)), 0.0, 1.0)
 
 
@@ -105,7 +105,7 @@ class Rounds:
             numbers = self._all_numbers[numbers]
             sure = self.known[numbers]
             T = family.elements(self.values.packed()[number])
-            ops = family.lie.ops if family.lie is not None else None
+            ops = se2 if family == FAMILIES[SE2] else se3
             doubtful = numbers[~sure]
             if len(doubtful):
                 count = agreeing(ops, T, _part(stretch, sure), _part(stretch, ~sure), float(bound[doubtful[0]]))

@@ -138,7 +138,7 @@ def _rotations(
 ) -> _Turned | None:
     """Return rotations from the linear relaxation ([2]_ section III-B; docs/theory/graph.md, eq. 30).
 
-    The rows of R_j = R_i R_ij are linear in R_i and R_j: a row x of R obeys ``x_j = R_ij' x_i``, the same for all d rows.
+    The rows of R_j = R_i R_ij are linear in R_i and R_j: a row x of R obeys ``x_j = R_ij' x_i``, the same for all d.
     The constraint that R is a rotation is dropped, and restored by the nearest rotation.
     """
     d = _DIMENSION[family]
@@ -202,11 +202,11 @@ def _place(scene: _Scene, turned: _Turned, elements: Array, points: Array) -> tu
     R = turned.R
     if doubtful.any():
         # Nothing orients these components but positions: place them by themselves first, then turn them to fit.
-        alone = _translations(scene, R, turned.moved, elements, points, positions.part(~doubtful))
+        alone = _translations(scene, R, elements, points, positions.part(~doubtful))
         if alone is None:
             return None
         R = _oriented(turned, alone[0], at[doubtful], positions.value[doubtful])
-    found = _translations(scene, R, turned.moved, elements, points, positions)
+    found = _translations(scene, R, elements, points, positions)
     if found is None:
         return None
     d = R.shape[-1]
@@ -218,7 +218,7 @@ def _place(scene: _Scene, turned: _Turned, elements: Array, points: Array) -> tu
 
 def _oriented(turned: _Turned, t: Array, at: Indices, p_world: Array) -> Array:
     """Return the rotations with each free component turned so that its positions fit best (Kabsch 1976)."""
-    R = turned.R.copy()
+    R: Array = turned.R.copy()
     for component in np.unique(turned.free[at]):
         mine = turned.free[at] == component
         here, there = t[at[mine]], p_world[mine]
@@ -231,12 +231,12 @@ def _oriented(turned: _Turned, t: Array, at: Indices, p_world: Array) -> Array:
 
 
 def _translations(
-    scene: _Scene, R: Array, moved: Mask, elements: Array, points: Array, positions: _Measured
+    scene: _Scene, R: Array, elements: Array, points: Array, positions: _Measured
 ) -> tuple[Array, Array] | None:
     """Return positions of poses and points given the rotations (docs/theory/graph.md, eq. 31)."""
     d, n = R.shape[-1], len(R)
     given = np.concatenate([elements[:, :d, d], points])
-    i, j, u, weight = _relative(scene, R, moved)
+    i, j, u, weight = _relative(scene, R)
     if not len(i):
         return elements[:, :d, d], points
     known = np.zeros(len(given), dtype=bool)
@@ -261,7 +261,7 @@ def _translations(
     return given[:n], given[n:]
 
 
-def _relative(scene: _Scene, R: Array, moved: Mask) -> tuple[Indices, Indices, Array, Array]:
+def _relative(scene: _Scene, R: Array) -> tuple[Indices, Indices, Array, Array]:
     """Return i, j, offset (E, d) and information (E, d, d) of measured differences of positions, in the world.
 
     Poses count from 0, points after them.
@@ -347,9 +347,7 @@ def _measured(groups: Sequence[ResolvedGroup], code: int, families: tuple[Family
 def whitened_information(noise: Whitening, rows: int, count: int) -> Array:
     """Return ``S' S`` of every factor, (count, rows, rows)."""
     root = noise.sqrt_information
-    if noise.form == SCALAR:
-        omega = root[:, :, None] ** 2 * np.eye(rows)
-    elif noise.form == DIAGONAL:
+    if noise.form in (SCALAR, DIAGONAL):
         omega = root[:, :, None] ** 2 * np.eye(rows)
     else:
         S = root.reshape(-1, rows, rows)

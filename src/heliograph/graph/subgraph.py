@@ -60,7 +60,7 @@ def _record_rows(record: FactorRecord, rows: Indices, *, bare: bool) -> FactorRe
     return part
 
 
-def _rows_of(name: str, value: Any, rows: Indices, *, bare: bool) -> Any:
+def _rows_of(name: str, value: Any, rows: Indices, *, bare: bool) -> object:  # noqa: ANN401
     if name in ("keys", "measurement"):
         return np.ascontiguousarray(value[rows])
     if name == "data":

@@ -1,4 +1,4 @@
-"""Which doubtful relative poses are borne out by others: pairs that agree around a short loop through the trusted graph.
+"""Which doubtful relative poses are borne out by others: pairs that agree around a short trusted loop.
 
 Two measurements between the same two stretches of a trusted trajectory must tell the same story, however far the
 trajectory has drifted between the stretches; random mistakes hardly ever do.
@@ -11,8 +11,9 @@ References
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,9 @@ class Stretch:
     information: Array
 
 
-def agreeing(ops: Any, T: Array, trusted: Stretch, doubtful: Stretch, threshold: float, *, hops: int = 5) -> Indices:
+def agreeing(
+    ops: ModuleType, T: Array, trusted: Stretch, doubtful: Stretch, threshold: float, *, hops: int = 5
+) -> Indices:
     """Return for every doubtful measurement how many others agree with it, (E,).
 
     Parameters
@@ -81,9 +84,9 @@ def agreeing(ops: Any, T: Array, trusted: Stretch, doubtful: Stretch, threshold:
     for first, last in _chunks(near, a, b):
         k, ends_a, ends_b, path = _queries(near, a, b, first, last)
         for query, other in _found(code[order], ends_a * n + ends_b):
-            m, l = k[query], order[other]
-            m, l, length = m[m != l], l[m != l], path[query][m != l]
-            there = (T_inverse[a[m]] @ T[a[l]]) @ Z[l] @ (T_inverse[b[l]] @ T[b[m]])
+            others = k[query] != order[other]
+            m, o, length = k[query][others], order[other][others], path[query][others]
+            there = (T_inverse[a[m]] @ T[a[o]]) @ Z[o] @ (T_inverse[b[o]] @ T[b[m]])
             r = ops.log(ops.inverse(Z[m]) @ there)
             squared = np.einsum("ni,nij,nj->n", r, omega[m], r)
             np.add.at(count, m, squared <= threshold * (2.0 + length * drift[m]))
@@ -127,7 +130,7 @@ def _chunks(near: _Near, a: Indices, b: Indices) -> list[tuple[int, int]]:
     while ends[-1] < len(a):
         base = total[ends[-1] - 1] if ends[-1] else 0
         ends.append(max(ends[-1] + 1, int(np.searchsorted(total, base + _PAIRS, side="right"))))
-    return list(zip(ends[:-1], ends[1:], strict=True))
+    return list(itertools.pairwise(ends))
 
 
 def _queries(near: _Near, a: Indices, b: Indices, first: int, last: int) -> tuple[Indices, Indices, Indices, Indices]:
