@@ -101,7 +101,8 @@ class Factor(FactorRecord):
             cls.families = tuple(family_named(variable) for variable in cls.variables)
         except GraphError as error:
             raise GraphError(f"class {name}: {error}") from None
-        if not isinstance(cls.rows, int) or isinstance(cls.rows, bool) or cls.rows < 1:
+        rows = getattr(cls, "rows", None)
+        if not isinstance(rows, int) or isinstance(rows, bool) or rows < 1:
             raise GraphError(f"class {name} needs `rows`: how many numbers its residual has, an int of at least 1")
         for method, needed in (("residual", True), ("jacobians", False)):
             found = inspect.getattr_static(cls, method, None)
