@@ -12,6 +12,9 @@ from heliograph.graph.noise import Constrained, Covariance, Diagonal, Informatio
 from heliograph.graph.odometry_start import odometry_start
 from heliograph.graph.posegraph import PoseGraphFile
 from heliograph.graph.posegraph_of import pose_graph_of
+from heliograph.graph.settings import SolverSettings
+from heliograph.graph.solution import Solution
+from heliograph.graph.solve import solve
 from heliograph.graph.values import Values
 
 __all__ = [
@@ -35,6 +38,8 @@ __all__ = [
     "Position",
     "Prior",
     "Range",
+    "Solution",
+    "SolverSettings",
     "SquareRoot",
     "TruncatedLeastSquares",
     "Tukey",
@@ -46,6 +51,7 @@ __all__ = [
     "pose_graph_of",
     "read_pose_graph",
     "save_graph",
+    "solve",
     "to_dot",
     "vectors",
     "write_g2o",
