@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["parse_robust", "solve"]
 
 _ARCHIVE_MAGIC = b"PK"
+_TORO = (".graph", ".toro")
 _WORDS = {"gn": "Gauss-Newton", "lm": "Levenberg-Marquardt", "dogleg": "Dogleg"}
 
 # By name: the class in `heliograph.graph`, and its customary width (95 % efficient on Gaussian noise, where one is).
@@ -82,12 +83,16 @@ def solve(
     json: options.Json = False,
 ) -> None:
     """Find the poses that a pose graph makes most likely."""
+    from heliograph.graph import pose_graph_of
     from heliograph.graph import solve as minimise
+    from heliograph.graph.g2o import check_toro
 
     kernel = None if robust is None else parse_robust(robust)
     for path in (output, plot):
         _check_folder(path)
     task = _task(graph, init, kernel)
+    if output is not None and output.suffix in _TORO:
+        check_toro(task.file or pose_graph_of(task.graph, task.values))
     for note in task.notes:
         print(f"note: {note}", file=sys.stderr)
     initial = "chordal" if init is Init.chordal else "auto"
@@ -180,7 +185,7 @@ def _write(task: _Task, solution: Solution, output: Path | None, plot: Path | No
             save_graph(output, task.graph, solution.values)
         else:
             file = pose_graph_of(task.graph, solution.values) if task.file is None else task.file
-            writer = write_toro if output.suffix in (".graph", ".toro") else write_g2o
+            writer = write_toro if output.suffix in _TORO else write_g2o
             writer(output, file.with_values(solution.values))
         written.append(str(output))
     if plot is not None:
@@ -240,12 +245,12 @@ def _facts(
 def _lines(facts: dict[str, Any]) -> list[str]:
     """Return an account in words."""
     points = f", {facts['landmarks']} landmarks" if facts["landmarks"] else ""
-    where = "plane" if facts["dimension"] == 2 else "space"
+    where = "the plane" if facts["dimension"] == 2 else "space"
     per_dof = "" if facts["chi2_per_dof"] is None else f", {facts['chi2_per_dof']:.4g} a degree of freedom"
     robust = f"; cost with {facts['robust']} {facts['final_cost']:.6g}" if facts["robust"] else ""
     stages = ", ".join(f"{name} {seconds:.3f}" for name, seconds in facts["seconds"].items() if name != "total")
     lines = [
-        f"{facts['poses']} poses in the {where}{points}, {facts['edges']} edges, {facts['held']} held",
+        f"{facts['poses']} poses in {where}{points}, {facts['edges']} edges, {facts['held']} held",
         f"start: {facts['init']} ({facts['start']})",
         f"chi2 {facts['initial_chi2']:.6g} -> {facts['final_chi2']:.6g}{per_dof}{robust}",
         f"{facts['iterations']} iterations of {_WORDS[facts['solver']]} in {facts['solve_seconds']:.3f} s ({stages})",

@@ -110,7 +110,9 @@ def test_toro_and_archives_are_read_and_written(call, rng, tmp_path):
     assert facts(call("in.graph", "-o", "a.npz", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
     found, _ = facts(call("a.npz", "-o", "b.g2o", "--json"))
     assert found["initial_chi2"] == pytest.approx(want, rel=1e-4)
-    assert facts(call("b.g2o", "-o", "c.graph", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
+    assert facts(call("b.g2o", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
+    assert facts(call("in.graph", "-o", "c.graph", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
+    assert facts(call("c.graph", "--json"))[0]["initial_chi2"] == pytest.approx(want, rel=1e-4)
     assert len(load_graph(tmp_path / "a.npz")[0]) == len(world.i)
 
 
@@ -162,11 +164,13 @@ def test_plot_is_written(call, city, tmp_path):
         (["city.g2o", "-o", "no/where.g2o"], "there is no folder no"),
         (["city.g2o", "--plot", "p.xyz"], "use .png"),
         (["bad.g2o"], "line 1"),
+        (["fixed.g2o", "-o", "out.graph"], "TORO has no word for the 1 fixed poses"),
         (["a.npz", "--robust", "huber"], "an archive holds the kernels"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(call, city, tmp_path, arguments, message):
     (tmp_path / "bad.g2o").write_text("EDGE_SE2 0 1 1 0\n")
+    (tmp_path / "fixed.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nFIX 0\n")
     graph, values = FactorGraph(), Values()
     values.insert([0, 1], SE2.identity((2,)))
     graph.add(Prior(0, SE2.identity(), Isotropic(1.0)))
