@@ -1,5 +1,6 @@
 """Native kernels of Heliograph; private, wrapped by the Python rooms."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy
@@ -11,6 +12,12 @@ def deskew(points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order
 def voxel_downsample(points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], leaf: float) -> NDArray[numpy.int32]: ...
 
 def range_gate(points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], min_range: float, max_range: float) -> NDArray[numpy.int32]: ...
+
+def read_rows(text: bytes, tags: Sequence[str]) -> tuple[Any, ...]: ...
+
+def format_rows(tag: str, integers: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Any, ...]: ...
+
+def spanning_start(count: int, i: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], j: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], relative: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)]) -> tuple[Any, ...]: ...
 
 def order_minimum_degree(offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], neighbour: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weight: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], group: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int32]: ...
 
