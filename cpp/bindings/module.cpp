@@ -5,6 +5,9 @@
 NB_MODULE(_core, m) {
   m.doc() = "Native kernels of Heliograph; private, wrapped by the Python rooms.";
   heliograph::bind_cloud(m);
+  heliograph::bind_graph_problem(m);
+  heliograph::bind_graph_files(m);
+  heliograph::bind_graph_ordering(m);
   heliograph::bind_graph_factors(m);
   heliograph::bind_imu(m);
   heliograph::bind_io(m);

@@ -86,6 +86,11 @@ class Noise:
         return f"{type(self).__name__}({np.array2string(self._numbers, threshold=20)})"
 
     @property
+    def numbers(self) -> Array:
+        """What it was made from, read-only; `core` axes, and one more in front for a batch."""
+        return self._numbers
+
+    @property
     def shared(self) -> bool:
         """One for all factors."""
         return self._numbers.ndim == self.core
