@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from heliograph.errors import ConfigError, GraphError, closest
+from heliograph.graph.constraints import minimize_constrained
 from heliograph.graph.dogleg import dogleg
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.gauss_newton import gauss_newton
@@ -74,7 +75,10 @@ def solve(
     first = problem.linearize()
     problem.check_finite(first)
     clock.lap("iterate")
-    found = METHODS[method](problem, settings, first, observer or _ignore)
+    if any(group.constrained for group in problem.groups):
+        found = minimize_constrained(METHODS[method], problem, settings, observer or _ignore)
+    else:
+        found = METHODS[method](problem, settings, first, observer or _ignore)
     clock.lap("iterate")
     return Solution(
         values=problem.values(),
