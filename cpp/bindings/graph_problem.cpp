@@ -4,6 +4,7 @@
 #include "bindings/bindings.hpp"
 #include "graph/make_group.hpp"
 #include "graph/problem.hpp"
+#include "graph/selected_inverse.hpp"
 
 namespace heliograph {
 
@@ -97,6 +98,17 @@ auto solve_for(const GraphProblem& problem, const Rows& right) {
   return to_numpy<double>(std::move(x), {right.shape(0), right.shape(1)});
 }
 
+// Blocks of the variables, one after another; all of them must be free.
+auto covariance_blocks(const GraphProblem& problem, const Indices& variables) {
+  std::vector<int32_t> nodes;
+  for (const int32_t v : span_of(variables)) nodes.push_back(problem.nodes().node_of.at(static_cast<size_t>(v)));
+  for (const int32_t node : nodes)
+    if (node < 0) throw std::invalid_argument("a held variable has no block");
+  std::vector<double> blocks = unlocked([&] { return inverse_blocks(problem.factorization(), nodes); });
+  const size_t size = blocks.size();
+  return to_numpy<double>(std::move(blocks), {size});
+}
+
 nb::typed<nb::dict, nb::str, nb::any> plan_facts(const GraphProblem& problem) {
   const Plan& plan = problem.plan();
   nb::typed<nb::dict, nb::str, nb::any> facts;
@@ -146,6 +158,7 @@ void bind_graph_problem(nb::module_& m) {
       .def("solve", [](GraphProblem& p, double damping, double floor) { return unlocked([&] { return p.solve(damping, floor); }); },
            "damping"_a, "floor"_a)
       .def("solve_for", &solve_for, "right"_a.noconvert())
+      .def("covariance_blocks", &covariance_blocks, "variables"_a.noconvert())
       .def("gradient", [](const GraphProblem& p) { return copied(p.gradient()); })
       .def("diagonal", [](const GraphProblem& p) { return copied(p.diagonal()); })
       .def("multiply", [](const GraphProblem& p, const Doubles& v) { return copied(p.multiply(span_of(v))); }, "v"_a.noconvert())

@@ -9,6 +9,7 @@ from heliograph.graph.families import Family, family_of, vectors
 from heliograph.graph.g2o import read_pose_graph, write_g2o, write_toro
 from heliograph.graph.gnc import RobustSettings, RobustSolution, solve_robust
 from heliograph.graph.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
+from heliograph.graph.marginals import Marginals
 from heliograph.graph.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
 from heliograph.graph.odometry_start import odometry_start
 from heliograph.graph.posegraph import PoseGraphFile
@@ -35,6 +36,7 @@ __all__ = [
     "Isotropic",
     "Landmark",
     "LinearMotion",
+    "Marginals",
     "PoseGraphFile",
     "Position",
     "Prior",

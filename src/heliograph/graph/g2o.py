@@ -13,7 +13,7 @@ from heliograph.graph.posegraph import PoseGraphFile
 from heliograph.graph.row_kinds import KINDS
 from heliograph.graph.tables import Table, as_kind, parse_tables, written
 
-__all__ = ["read_pose_graph", "write_g2o", "write_toro"]
+__all__ = ["check_toro", "read_pose_graph", "write_g2o", "write_toro"]
 
 _TO_G2O = {"VERTEX2": "VERTEX_SE2", "EDGE2": "EDGE_SE2", "VERTEX3": "VERTEX_SE3:QUAT", "EDGE3": "EDGE_SE3:QUAT"}
 _TO_TORO = {g2o: toro for toro, g2o in _TO_G2O.items()}
@@ -82,15 +82,17 @@ def write_toro(path: Path | str, graph: PoseGraphFile) -> None:
     OutputError
         The file cannot be written.
     """
-    tables = []
+    check_toro(graph)
+    _write(Path(path), graph, [as_kind(table, _TO_TORO.get(table.kind.tag, table.kind.tag)) for table in graph.tables])
+
+
+def check_toro(graph: PoseGraphFile) -> None:
+    """Raise `DataError` where a pose graph holds what TORO has no words for; see `write_toro`."""
     for table in graph.tables:
-        tag = _TO_TORO.get(table.kind.tag, table.kind.tag)
-        if tag not in _TO_G2O:
+        if _TO_TORO.get(table.kind.tag, table.kind.tag) not in _TO_G2O:
             raise DataError(f"TORO has no word for {table.kind.tag} ({len(table)} lines); write a g2o file instead")
-        tables.append(as_kind(table, tag))
     if len(graph.fixed):
         raise DataError(f"TORO has no word for the {len(graph.fixed)} fixed poses; write a g2o file instead")
-    _write(Path(path), graph, tables)
 
 
 def _write(path: Path, graph: PoseGraphFile, tables: list[Table]) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from heliograph.errors import ConfigError, GraphError, closest
+from heliograph.graph.constraints import minimize_constrained
 from heliograph.graph.dogleg import dogleg
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.gauss_newton import gauss_newton
@@ -79,10 +80,14 @@ def solve(
     start = choose_start(problem, values, initial, first)
     clock.lap("start")
     minimize, observe = METHODS[method], observer or _ignore
+    constrained = any(group.constrained for group in problem.groups)
+    if constrained:
+        minimize = _with_constraints(minimize)
     found = minimize(problem, settings, start.cost, observe)
     clock.lap("iterate")
     steps = found.iterations
-    again = second_start(problem, values, found) if initial == "auto" and start.cost is first else None
+    doubt = initial == "auto" and start.cost is first and not constrained
+    again = second_start(problem, values, found) if doubt else None
     clock.lap("start")
     if again is not None:
         start = again
@@ -104,6 +109,13 @@ def solve(
         seconds=clock.seconds(),
         plan=problem.native.plan(),
     )
+
+
+def _with_constraints(minimize: Minimizer) -> Minimizer:
+    def held(problem: Problem, settings: SolverSettings, _: Cost, observe: Observer) -> Minimum:
+        return minimize_constrained(minimize, problem, settings, observe)
+
+    return held
 
 
 def _ignore(_: Iteration) -> None:
