@@ -45,10 +45,13 @@ nb::ndarray<nb::numpy, T, Extra...> to_numpy(std::vector<T>&& values, std::initi
 }
 
 void bind_cloud(nb::module_& m);
+void bind_graph_problem(nb::module_& m);
+void bind_graph_files(nb::module_& m);
 void bind_graph_ordering(nb::module_& m);
 void bind_graph_factors(nb::module_& m);
 void bind_imu(nb::module_& m);
 void bind_io(nb::module_& m);
+void bind_lie(nb::module_& m);
 void bind_maps(nb::module_& m);
 void bind_registration(nb::module_& m);
 void bind_sim(nb::module_& m);

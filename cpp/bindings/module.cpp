@@ -5,10 +5,13 @@
 NB_MODULE(_core, m) {
   m.doc() = "Native kernels of Heliograph; private, wrapped by the Python rooms.";
   heliograph::bind_cloud(m);
+  heliograph::bind_graph_problem(m);
+  heliograph::bind_graph_files(m);
   heliograph::bind_graph_ordering(m);
   heliograph::bind_graph_factors(m);
   heliograph::bind_imu(m);
   heliograph::bind_io(m);
+  heliograph::bind_lie(m);
   heliograph::bind_maps(m);
   heliograph::bind_registration(m);
   heliograph::bind_sim(m);

@@ -2,10 +2,16 @@
 // Compiled once for each instruction set, in a translation unit of its own. Everything here has internal linkage and no
 // library template is instantiated, so that no AVX2 code can be merged into the baseline build by the linker.
 // This file finds the residual of a group and hands it to an action: linearise, cost or evaluate.
+#include "graph/between_blocks.inl"
 #include "graph/residuals_point.inl"
 
 namespace heliograph {
 namespace {
+
+template <class A, class B>
+constexpr bool kIsSame = false;
+template <class A>
+constexpr bool kIsSame<A, A> = true;
 
 struct Linearize {
   const FactorView& view;
@@ -14,7 +20,9 @@ struct Linearize {
   GroupCost* sum;
   template <class Residual>
   bool with() const {
-    linearize_range<Residual>(view, begin, end, blocks, sum);
+    if constexpr (kIsSame<Residual, BetweenSe2>) linearize_between_se2(view, begin, end, blocks, sum);
+    else if constexpr (kIsSame<Residual, BetweenMotion<1>>) linearize_between_se3(view, begin, end, blocks, sum);
+    else linearize_range<Residual>(view, begin, end, blocks, sum);
     return true;
   }
 };

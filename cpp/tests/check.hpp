@@ -18,6 +18,7 @@
 // One function a room; main.cpp calls them all.
 void check_cloud();
 void check_graph_ordering();
+void check_graph_factors();
 void check_imu();
 void check_io();
 void check_maps();

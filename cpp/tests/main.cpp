@@ -4,6 +4,7 @@
 int main() {
   check_cloud();
   check_graph_ordering();
+  check_graph_factors();
   check_imu();
   check_io();
   check_maps();

@@ -1,11 +1,21 @@
 """Factor graphs: variables in families, factors between them, and the noise they are weighed with."""
 
+from heliograph.graph.archive import load_graph, save_graph
+from heliograph.graph.draw import plot_poses, to_dot
 from heliograph.graph.factor import Factor
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.factors import Bearing, Between, Landmark, LinearMotion, Position, Prior, Range
 from heliograph.graph.families import Family, family_of, vectors
+from heliograph.graph.g2o import read_pose_graph, write_g2o, write_toro
 from heliograph.graph.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
+from heliograph.graph.marginals import Marginals
 from heliograph.graph.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
+from heliograph.graph.odometry_start import odometry_start
+from heliograph.graph.posegraph import PoseGraphFile
+from heliograph.graph.posegraph_of import pose_graph_of
+from heliograph.graph.settings import SolverSettings
+from heliograph.graph.solution import Solution
+from heliograph.graph.solve import solve
 from heliograph.graph.values import Values
 
 __all__ = [
@@ -25,13 +35,27 @@ __all__ = [
     "Isotropic",
     "Landmark",
     "LinearMotion",
+    "Marginals",
+    "PoseGraphFile",
     "Position",
     "Prior",
     "Range",
+    "Solution",
+    "SolverSettings",
     "SquareRoot",
     "TruncatedLeastSquares",
     "Tukey",
     "Values",
     "family_of",
+    "load_graph",
+    "odometry_start",
+    "plot_poses",
+    "pose_graph_of",
+    "read_pose_graph",
+    "save_graph",
+    "solve",
+    "to_dot",
     "vectors",
+    "write_g2o",
+    "write_toro",
 ]

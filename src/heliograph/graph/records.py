@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -140,6 +140,23 @@ class FactorRecord:
             object.__setattr__(self, name, value)
         if rows is not None:
             object.__setattr__(self, "rows", rows)
+
+    @classmethod
+    def restored(cls, *, data: tuple[Array, ...] | None = None, **parts: Any) -> FactorRecord:  # noqa: ANN401
+        """Return a record from its parts as they were, for archives: nothing is packed or normalised again.
+
+        Parameters
+        ----------
+        data : tuple of (N, ...) float64, optional
+            Of a user's own factor.
+        parts
+            The other attributes by name; ``rows=None`` where the class says it.
+        """
+        record: FactorRecord = cls.__new__(cls)
+        record._fill(**parts)
+        if data is not None:
+            object.__setattr__(record, "data", data)
+        return record
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"a {self.kind} record cannot be changed; make another one")

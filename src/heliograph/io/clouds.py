@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.atomic import atomic_path
 from heliograph.data.arrays import frozen
 from heliograph.errors import FormatError, OutputError
-from heliograph.io.atomic import atomic_path
 from heliograph.io.las import write_las
 from heliograph.io.pcd import read_pcd, write_pcd
 from heliograph.io.ply import read_ply, write_ply

@@ -8,7 +8,7 @@ import os
 from pathlib import Path
 from types import TracebackType
 
-from heliograph.io.atomic import output_error, output_errors
+from heliograph.atomic import output_error, output_errors
 
 __all__ = ["RowFile"]
 

@@ -11,9 +11,9 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.atomic import atomic_path
 from heliograph.data import Trajectory
 from heliograph.errors import FormatError
-from heliograph.io.atomic import atomic_path
 from heliograph.io.rows import RowFile
 from heliograph.lie import so3
 

@@ -13,9 +13,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.atomic import check_output_directory, write_text
 from heliograph.data import GnssFix, ImuBatch, Scan, ScanResult
 from heliograph.errors import OutputError
-from heliograph.io.atomic import check_output_directory, write_text
 from heliograph.io.clouds import write_cloud
 from heliograph.output.facts import final_facts
 from heliograph.output.record import RunRecord

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from heliograph.atomic import atomic_path, write_text
 from heliograph.data import Event
-from heliograph.io.atomic import atomic_path, write_text
 from heliograph.output.record import RunRecord
 from heliograph.report import charts
 from heliograph.report.mapview import MapPictures

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from heliograph.atomic import atomic_path, check_output_directory, output_error, write_text
 from heliograph.errors import OutputError
-from heliograph.io.atomic import atomic_path, check_output_directory, output_error, write_text
 
 
 def _write_half_then_raise(path, error):

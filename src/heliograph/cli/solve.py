@@ -1,0 +1,261 @@
+"""`heliograph solve`: a pose graph's optimum."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from heliograph.cli import options
+
+if TYPE_CHECKING:
+    from heliograph.graph import FactorGraph, PoseGraphFile, Solution, Values
+    from heliograph.graph.kernels import Kernel
+
+__all__ = ["parse_robust", "solve"]
+
+_ARCHIVE_MAGIC = b"PK"
+_TORO = (".graph", ".toro")
+_WORDS = {"gn": "Gauss-Newton", "lm": "Levenberg-Marquardt", "dogleg": "Dogleg"}
+
+# By name: the class in `heliograph.graph`, and its customary width (95 % efficient on Gaussian noise, where one is).
+_KERNELS = {
+    "huber": ("Huber", 1.345),
+    "cauchy": ("Cauchy", 2.385),
+    "geman-mcclure": ("GemanMcClure", 1.0),
+    "tukey": ("Tukey", 4.685),
+    "dcs": ("DCS", 1.0),
+    "truncated": ("TruncatedLeastSquares", 3.0),
+}
+
+
+class Solver(str, Enum):
+    """Solvers."""
+
+    gn = "gn"
+    lm = "lm"
+    dogleg = "dogleg"
+
+
+class Init(str, Enum):
+    """Starts."""
+
+    file = "file"
+    odometry = "odometry"
+    chordal = "chordal"
+
+
+@dataclass(slots=True, kw_only=True)
+class _Task:
+    """What is to be solved, and where from."""
+
+    graph: FactorGraph
+    values: Values
+    file: PoseGraphFile | None
+    start: str
+    notes: list[str] = field(default_factory=list)
+
+
+def solve(
+    graph: Annotated[Path, typer.Argument(metavar="GRAPH", help="A g2o or TORO file, or an archive of save_graph.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="OUT", help="Solved graph: .g2o, .graph (TORO) or .npz; default: none."),
+    ] = None,
+    solver: Annotated[Solver, typer.Option("--solver", help="Method.")] = Solver.lm,
+    init: Annotated[
+        Init,
+        typer.Option("--init", help="Where to start; a chordal start takes its place where that is clearly better."),
+    ] = Init.file,
+    robust: Annotated[
+        str | None,
+        typer.Option("--robust", metavar="NAME[:WIDTH]", help=f"Kernel of relative poses: {', '.join(_KERNELS)}."),
+    ] = None,
+    threads: Annotated[int, typer.Option("--threads", metavar="N", min=1, help="Same bits for any number.")] = 1,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE", help="Picture before and after (.png, .pdf, .svg).")
+    ] = None,
+    json: options.Json = False,
+) -> None:
+    """Find the poses that a pose graph makes most likely."""
+    from heliograph.graph import pose_graph_of
+    from heliograph.graph import solve as minimise
+    from heliograph.graph.g2o import check_toro
+
+    kernel = None if robust is None else parse_robust(robust)
+    for path in (output, plot):
+        _check_folder(path)
+    task = _task(graph, init, kernel)
+    if output is not None and output.suffix in _TORO:
+        check_toro(task.file or pose_graph_of(task.graph, task.values))
+    for note in task.notes:
+        print(f"note: {note}", file=sys.stderr)
+    initial = "chordal" if init is Init.chordal else "auto"
+    solution = minimise(task.graph, task.values, solver.value, initial=initial, threads=threads)
+    written = _write(task, solution, output, plot, title=graph.stem)
+    facts = _facts(graph, task, solution, solver, robust, threads, written)
+    for warning in facts["warnings"]:
+        print(f"warning: {warning}", file=sys.stderr)
+    typer.echo(jsonlib.dumps(facts, allow_nan=False) if json else "\n".join(_lines(facts)))
+
+
+def parse_robust(text: str) -> Kernel:
+    """Return the kernel of ``NAME`` or ``NAME:WIDTH``.
+
+    Raises
+    ------
+    ConfigError
+        An unknown name, or a width that is no positive number.
+    """
+    import heliograph.graph as engine
+    from heliograph.errors import ConfigError, closest
+
+    name, _, width = text.partition(":")
+    if name not in _KERNELS:
+        raise ConfigError(
+            f"--robust knows no kernel '{name}'; there are {', '.join(_KERNELS)}{closest(name, _KERNELS)}"
+        )
+    cls, default = _KERNELS[name]
+    try:
+        number = float(width) if width else default
+    except ValueError:
+        number = float("nan")
+    if not 0.0 < number < float("inf"):
+        raise ConfigError(f"--robust {text}: the width '{width}' is not a positive number of standard deviations")
+    kernel: Kernel = getattr(engine, cls)(number)
+    return kernel
+
+
+def _check_folder(path: Path | None) -> None:
+    """Refuse an output that cannot be written before the work, not after it."""
+    from heliograph.errors import OutputError
+
+    if path is not None and not path.parent.is_dir():
+        raise OutputError(f"cannot write {path}: there is no folder {path.parent}; make it or choose another")
+
+
+def _task(path: Path, init: Init, kernel: Kernel | None) -> _Task:
+    """Read a graph and choose its start."""
+    from heliograph.errors import ConfigError
+    from heliograph.graph import load_graph, pose_graph_of, read_pose_graph
+
+    if _is_archive(path):
+        if kernel is not None:
+            raise ConfigError("--robust is for g2o and TORO files; an archive holds the kernels of its factors")
+        graph, values = load_graph(path)
+        if init is Init.odometry:
+            values = pose_graph_of(graph, values).odometry_values()
+        return _Task(graph=graph, values=values, file=None, start=init.value)
+    file = read_pose_graph(path)
+    graph = file.graph(kernel=kernel)
+    missing = len(file.missing_ids)
+    if init is Init.odometry or missing:
+        notes = []
+        if init is not Init.odometry:
+            total = len(file.pose_ids) + len(file.point_ids)
+            whose = "no variable has" if missing == total else f"{missing} of {total} variables lack"
+            notes.append(f"{whose} a vertex line in {path.name}, so the poses given are those of the odometry")
+        start = "odometry" if init is Init.file else init.value
+        return _Task(graph=graph, values=file.odometry_values(), file=file, start=start, notes=notes)
+    return _Task(graph=graph, values=file.values(), file=file, start=init.value)
+
+
+def _is_archive(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return path.suffix == ".npz" or file.read(2) == _ARCHIVE_MAGIC
+    except OSError:
+        return path.suffix == ".npz"  # its reader tells what is wrong
+
+
+def _write(task: _Task, solution: Solution, output: Path | None, plot: Path | None, *, title: str) -> list[str]:
+    """Write what was asked for and return the names."""
+    from heliograph.atomic import atomic_path
+    from heliograph.errors import OutputError
+    from heliograph.graph import plot_poses, pose_graph_of, save_graph, write_g2o, write_toro
+
+    written = []
+    if output is not None:
+        if output.suffix == ".npz":
+            save_graph(output, task.graph, solution.values)
+        else:
+            file = pose_graph_of(task.graph, solution.values) if task.file is None else task.file
+            writer = write_toro if output.suffix in _TORO else write_g2o
+            writer(output, file.with_values(solution.values))
+        written.append(str(output))
+    if plot is not None:
+        figure = plot_poses(task.graph, solution.values, before=task.values, title=title)
+        try:
+            with atomic_path(plot) as temporary:
+                figure.savefig(temporary, dpi=150)
+        except ValueError as error:  # an ending that it has no format for
+            raise OutputError(f"cannot write {plot}: {error}; use .png, .pdf or .svg") from error
+        written.append(str(plot))
+    return written
+
+
+def _facts(
+    path: Path, task: _Task, solution: Solution, solver: Solver, robust: str | None, threads: int, written: list[str]
+) -> dict[str, Any]:
+    """Return the account of a solution, as `--json` prints it."""
+    from heliograph.lie import SE2, SE3
+
+    values = solution.values
+    in_plane = len(values.block(SE2)[0])
+    poses = in_plane + len(values.block(SE3)[0])
+    dof = solution.degrees_of_freedom
+    warnings = []
+    if solution.status != "converged":
+        warnings.append(
+            f"the solver ended as {solution.status} after {solution.iterations} iterations: chi2 may be above the "
+            "optimum; try --init chordal or another --solver"
+        )
+    return {
+        "graph": str(path),
+        "poses": poses,
+        "landmarks": len(values) - poses,
+        "dimension": 2 if in_plane else 3,
+        "edges": len(task.graph),
+        "held": len(task.graph.fixed),
+        "solver": solver.value,
+        "robust": robust,
+        "threads": threads,
+        "init": task.start,
+        "start": solution.start,
+        "initial_chi2": solution.initial_chi2,
+        "final_chi2": solution.chi2,
+        "final_cost": solution.cost,
+        "degrees_of_freedom": dof,
+        "chi2_per_dof": solution.chi2 / dof if dof > 0 else None,
+        "iterations": solution.iterations,
+        "status": solution.status,
+        "solve_seconds": solution.seconds["total"],
+        "seconds": dict(solution.seconds),
+        "notes": task.notes,
+        "warnings": warnings,
+        "written": written,
+    }
+
+
+def _lines(facts: dict[str, Any]) -> list[str]:
+    """Return an account in words."""
+    points = f", {facts['landmarks']} landmarks" if facts["landmarks"] else ""
+    where = "the plane" if facts["dimension"] == 2 else "space"
+    per_dof = "" if facts["chi2_per_dof"] is None else f", {facts['chi2_per_dof']:.4g} a degree of freedom"
+    robust = f"; cost with {facts['robust']} {facts['final_cost']:.6g}" if facts["robust"] else ""
+    stages = ", ".join(f"{name} {seconds:.3f}" for name, seconds in facts["seconds"].items() if name != "total")
+    lines = [
+        f"{facts['poses']} poses in {where}{points}, {facts['edges']} edges, {facts['held']} held",
+        f"start: {facts['init']} ({facts['start']})",
+        f"chi2 {facts['initial_chi2']:.6g} -> {facts['final_chi2']:.6g}{per_dof}{robust}",
+        f"{facts['iterations']} iterations of {_WORDS[facts['solver']]} in {facts['solve_seconds']:.3f} s ({stages})",
+    ]
+    if facts["written"]:
+        lines.append(f"written: {', '.join(facts['written'])}")
+    lines.append(f"status: {facts['status']}")
+    return lines

@@ -1,0 +1,117 @@
+"""Batch estimation: the values that a graph of factors makes most likely."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeAlias
+
+from heliograph.errors import ConfigError, GraphError, closest
+from heliograph.graph.constraints import minimize_constrained
+from heliograph.graph.dogleg import dogleg
+from heliograph.graph.factor_graph import FactorGraph
+from heliograph.graph.gauss_newton import gauss_newton
+from heliograph.graph.levenberg_marquardt import levenberg_marquardt
+from heliograph.graph.outcome import Iteration, Minimum, Observer
+from heliograph.graph.problem import Cost, Problem
+from heliograph.graph.settings import SolverSettings
+from heliograph.graph.solution import Solution
+from heliograph.graph.values import Values
+
+__all__ = ["METHODS", "solve"]
+
+Minimizer: TypeAlias = Callable[[Problem, SolverSettings, Cost, Observer], Minimum]
+METHODS: dict[str, Minimizer] = {"gn": gauss_newton, "lm": levenberg_marquardt, "dogleg": dogleg}
+STARTS = ("auto", "given", "chordal")
+
+
+def solve(
+    graph: FactorGraph,
+    values: Values,
+    method: str = "lm",
+    *,
+    initial: str = "auto",
+    settings: SolverSettings | None = None,
+    threads: int = 1,
+    observer: Observer | None = None,
+) -> Solution:
+    """Minimise the sum of squared (robust) residuals of a graph.
+
+    Parameters
+    ----------
+    graph : FactorGraph
+        The factors, and which variables are held.
+    values : Values
+        Where to start; one value for every variable.
+    method : str
+        ``lm`` (Levenberg-Marquardt), ``gn`` (Gauss-Newton) or ``dogleg``.
+    initial : str
+        ``auto``: where the given start is poor and a chordal one is better, that is taken; ``given``; ``chordal``.
+    settings : SolverSettings, optional
+        When to stop, ordering.
+    threads : int
+        For the native parts; the result is the same bits for any number.
+    observer : callable, optional
+        Told of every `Iteration`.
+
+    Raises
+    ------
+    GraphError
+        The graph does not fit the values, or a residual is not finite.
+    UnderconstrainedError
+        Variables are not determined by the graph; the message names them and the directions in which they are free.
+    """
+    if method not in METHODS:
+        raise ConfigError(f"no solver '{method}'; there are {', '.join(METHODS)}{closest(method, METHODS)}")
+    if initial not in STARTS:
+        raise ConfigError(f"no start '{initial}'; there are {', '.join(STARTS)}{closest(initial, STARTS)}")
+    settings = settings or SolverSettings()
+    problem = Problem(graph, values, threads=threads)
+    if problem.free_scalars == 0:
+        raise GraphError("the graph leaves nothing to estimate: every variable is held, or there is none")
+    clock = _Clock()
+    problem.analyze(settings.ordering)
+    clock.lap("order")
+    first = problem.linearize()
+    problem.check_finite(first)
+    clock.lap("iterate")
+    if any(group.constrained for group in problem.groups):
+        found = minimize_constrained(METHODS[method], problem, settings, observer or _ignore)
+    else:
+        found = METHODS[method](problem, settings, first, observer or _ignore)
+    clock.lap("iterate")
+    return Solution(
+        values=problem.values(),
+        status=found.status,
+        iterations=len(found.iterations),
+        initial_chi2=first.chi2,
+        chi2=found.chi2,
+        initial_cost=first.cost,
+        cost=found.cost,
+        rows=problem.rows,
+        degrees_of_freedom=problem.rows - problem.free_scalars,
+        start="given",
+        steps=found.iterations,
+        seconds=clock.seconds(),
+        plan=problem.native.plan(),
+    )
+
+
+def _ignore(_: Iteration) -> None:
+    pass
+
+
+class _Clock:
+    """Seconds by stage."""
+
+    def __init__(self) -> None:
+        self._stages: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self._stages[stage] = self._stages.get(stage, 0.0) + now - self._last
+        self._last = now
+
+    def seconds(self) -> dict[str, float]:
+        return {**self._stages, "total": sum(self._stages.values())}

@@ -1,0 +1,188 @@
+"""`heliograph solve`: the contract, on small graphs."""
+
+import json
+
+import numpy as np
+import pytest
+
+from heliograph.cli.main import main
+from heliograph.graph import (
+    Between,
+    FactorGraph,
+    Isotropic,
+    Prior,
+    Values,
+    load_graph,
+    read_pose_graph,
+    save_graph,
+    write_g2o,
+    write_toro,
+)
+from heliograph.graph.worlds import grid_walk, manhattan, with_false_loops
+from heliograph.lie import SE2
+
+KEYS = {"initial_chi2", "final_chi2", "iterations", "status", "solve_seconds", "warnings", "start", "chi2_per_dof"}
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments):
+        capsys.readouterr()
+        code = main(["solve", *map(str, arguments)])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def city(tmp_path, rng):
+    """A world whose file has all vertices, at their odometry."""
+    world = manhattan(120, rng, sigmas=(0.02, 0.05))
+    write_g2o(tmp_path / "city.g2o", world.file.with_values(world.file.odometry_values()))
+    return world
+
+
+def facts(result):
+    code, out, err = result
+    assert code == 0, err
+    return json.loads(out), err
+
+
+def test_solve_tells_in_a_few_lines(call, city):
+    code, out, err = call("city.g2o")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert lines[0] == f"120 poses in the plane, {119 + city.loops} edges, 1 held"
+    assert lines[1].startswith("start: file")
+    assert lines[2].startswith("chi2 ") and "a degree of freedom" in lines[2]
+    assert "Levenberg-Marquardt" in lines[3]
+    assert lines[-1] == "status: converged"
+
+
+def test_solve_json_is_one_object(call, city):
+    found, _ = facts(call("city.g2o", "--json"))
+    assert set(found) >= KEYS
+    assert found["final_chi2"] < found["initial_chi2"]
+    assert found["final_chi2"] == pytest.approx(found["degrees_of_freedom"], rel=0.3)
+    assert found["degrees_of_freedom"] == 3 * (119 + city.loops) - 3 * 119
+    assert found["solve_seconds"] == found["seconds"]["total"]
+    assert found["written"] == []
+
+
+def test_all_solvers_and_starts_reach_one_optimum(call, city):
+    best = facts(call("city.g2o", "--json"))[0]["final_chi2"]
+    for options in (["--solver", "gn"], ["--solver", "dogleg"], ["--init", "odometry"], ["--init", "chordal"]):
+        assert facts(call("city.g2o", "--json", *options))[0]["final_chi2"] == pytest.approx(best, rel=1e-4)
+
+
+def test_output_is_the_graph_with_solved_poses(call, city, tmp_path):
+    found, _ = facts(call("city.g2o", "-o", "out.g2o", "--json"))
+    assert found["written"] == ["out.g2o"]
+    before, after = read_pose_graph(tmp_path / "city.g2o"), read_pose_graph(tmp_path / "out.g2o")
+    assert (before.tables[1].numbers == after.tables[1].numbers).all()
+    again, _ = facts(call("out.g2o", "--json"))
+    assert again["initial_chi2"] == pytest.approx(found["final_chi2"], rel=1e-6)
+    assert again["final_chi2"] == pytest.approx(found["final_chi2"], rel=1e-4)
+
+
+def test_file_without_vertices_starts_from_odometry_and_says_so(call, city, tmp_path):
+    write_g2o(tmp_path / "bare.g2o", city.file)
+    found, err = facts(call("bare.g2o", "-o", "full.g2o", "--json"))
+    assert "no variable has a vertex line in bare.g2o" in err
+    assert found["init"] == "odometry"
+    assert found["final_chi2"] == pytest.approx(facts(call("city.g2o", "--json"))[0]["final_chi2"], rel=1e-4)
+    assert len(read_pose_graph(tmp_path / "full.g2o").missing_ids) == 0
+    lines = (tmp_path / "city.g2o").read_text().splitlines(keepends=True)
+    (tmp_path / "some.g2o").write_text("".join(lines[1:]))
+    found, err = facts(call("some.g2o", "--json"))
+    assert "1 of 120 variables lack a vertex line" in err
+    assert "lack" not in call("some.g2o", "--init", "odometry")[2]
+
+
+def test_toro_and_archives_are_read_and_written(call, rng, tmp_path):
+    world = grid_walk(60, rng)
+    file = world.file.with_values(world.file.odometry_values())
+    write_toro(tmp_path / "in.graph", file)
+    write_g2o(tmp_path / "in.g2o", file)
+    want = facts(call("in.g2o", "--json"))[0]["final_chi2"]
+    assert facts(call("in.graph", "-o", "a.npz", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
+    found, _ = facts(call("a.npz", "-o", "b.g2o", "--json"))
+    assert found["initial_chi2"] == pytest.approx(want, rel=1e-4)
+    assert facts(call("b.g2o", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
+    assert facts(call("in.graph", "-o", "c.graph", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
+    assert facts(call("c.graph", "--json"))[0]["initial_chi2"] == pytest.approx(want, rel=1e-4)
+    assert len(load_graph(tmp_path / "a.npz")[0]) == len(world.i)
+
+
+def test_robust_kernel_holds_false_loops_off(call, rng, tmp_path):
+    world = manhattan(120, rng, sigmas=(0.005, 0.01))
+    file = with_false_loops(world, 0.1, rng).file
+    truth = Values()
+    truth.insert(np.arange(120), world.truth)
+    write_g2o(tmp_path / "spoilt.g2o", file.with_values(truth))
+
+    def error():
+        solved = read_pose_graph(tmp_path / "out.g2o").values().block(SE2)[1]
+        return np.abs(solved.translation - world.truth.translation).max()
+
+    facts(call("spoilt.g2o", "-o", "out.g2o", "--json"))
+    assert error() > 1.0
+    found, _ = facts(call("spoilt.g2o", "-o", "out.g2o", "--robust", "geman-mcclure:3", "--json"))
+    assert error() < 0.5
+    assert found["robust"] == "geman-mcclure:3" and found["final_cost"] < found["final_chi2"]
+
+
+def test_fixed_poses_stay(call, tmp_path):
+    edge = "EDGE_SE2 {} {} 1 0 0 1 0 0 1 0 1\n"
+    text = (
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 4 0 0\nFIX 0 2\n" + edge.format(0, 1) + edge.format(1, 2)
+    )
+    (tmp_path / "in.g2o").write_text(text)
+    found, _ = facts(call("in.g2o", "-o", "out.g2o", "--json"))
+    assert found["held"] == 2
+    x = read_pose_graph(tmp_path / "out.g2o").values().at([0, 1, 2]).translation[:, 0]
+    np.testing.assert_allclose(x, [0.0, 2.0, 4.0], atol=1e-6)
+    assert found["final_chi2"] == pytest.approx(2.0, rel=1e-6)
+
+
+def test_plot_is_written(call, city, tmp_path):
+    assert facts(call("city.g2o", "--plot", "city.png", "--json"))[0]["written"] == ["city.png"]
+    assert (tmp_path / "city.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.g2o"], "cannot be read"),
+        (["none.npz"], "cannot be read"),
+        (["city.g2o", "--robust", "hubert"], "did you mean 'huber'"),
+        (["city.g2o", "--robust", "huber:x"], "the width 'x'"),
+        (["city.g2o", "--robust", "huber:-1"], "the width '-1'"),
+        (["city.g2o", "--solver", "newton"], "newton"),
+        (["city.g2o", "-o", "no/where.g2o"], "there is no folder no"),
+        (["city.g2o", "--plot", "p.xyz"], "use .png"),
+        (["bad.g2o"], "line 1"),
+        (["fixed.g2o", "-o", "out.graph"], "TORO has no word for the 1 fixed poses"),
+        (["a.npz", "--robust", "huber"], "an archive holds the kernels"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(call, city, tmp_path, arguments, message):
+    (tmp_path / "bad.g2o").write_text("EDGE_SE2 0 1 1 0\n")
+    (tmp_path / "fixed.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nFIX 0\n")
+    graph, values = FactorGraph(), Values()
+    values.insert([0, 1], SE2.identity((2,)))
+    graph.add(Prior(0, SE2.identity(), Isotropic(1.0)))
+    graph.add(Between(0, 1, SE2.identity(), Isotropic(1.0)))
+    save_graph(tmp_path / "a.npz", graph, values)
+    code, out, err = call(*arguments)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1 and err.startswith("error: ") and message in err
+
+
+@pytest.mark.real
+def test_public_graph_reaches_its_optimum(call, shared_data):
+    found, err = facts(call(shared_data / "posegraphs" / "kitti_00.g2o", "--json"))
+    assert found["final_chi2"] == pytest.approx(98.3221, rel=1e-4)
+    assert "no variable has a vertex line" in err
