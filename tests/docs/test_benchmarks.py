@@ -134,5 +134,5 @@ def test_graph_tables_say_where_the_bar_is_missed(graph_harness):
     sizes = (10_000, 100_000)
     grown = [row("heliograph", n**1.2, graph=f"manhattan_{n}", poses=n) for n in sizes]
     text = tables.scale_section(grown, _table)
-    assert "exponent 1.20" in text and "with 1.00" in text
+    assert "exponent 1.20" in text and "bare program with 1.00" in text
     assert scale.exponent(sizes, [n**1.2 for n in sizes]) == pytest.approx(1.2)
