@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import GraphError
+from heliograph.graph.constraints import stiffen
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.problem import Problem
 from heliograph.graph.records import as_keys, key_list
@@ -54,6 +55,7 @@ class Marginals:
         self._held = np.zeros(len(values), dtype=bool)
         self._held[self._problem.held] = True
         self._problem.analyze()
+        stiffen(self._problem)
         self._problem.check_finite(self._problem.linearize())
         self._problem.require_determined()
 
@@ -83,7 +85,8 @@ class Marginals:
             return np.zeros((0, 0, 0))
         if (dofs != dofs[0]).any():
             raise GraphError(
-                f"{key_list(keys)}: variables of {dofs.min()} and of {dofs.max()} degrees of freedom; ask for one size at a time"
+                f"{key_list(keys)}: variables of {dofs.min()} and of {dofs.max()} degrees of freedom; "
+                "ask for one size at a time"
             )
         d = int(dofs[0])
         out = np.zeros((len(dense), d, d))
@@ -95,7 +98,7 @@ class Marginals:
         return out[0] if np.ndim(keys) == 0 else out
 
     def joint(self, keys: ArrayLike) -> Array:
-        """Return the joint covariance (D, D) of several variables, in the order of the keys, D their degrees of freedom."""
+        """Return the joint covariance (D, D) of several variables, in the order of the keys."""
         dense = self._dense(keys)
         starts, dofs = self._problem.tangents(dense)
         columns = np.concatenate([np.arange(s, s + d) for s, d in zip(starts, dofs, strict=True)])
@@ -103,6 +106,6 @@ class Marginals:
         right = np.zeros((len(columns), self._problem.size))
         right[np.arange(len(columns)), columns] = 1.0
         right[held] = 0.0
-        joint = self._problem.native.solve_for(right)[:, columns]
+        joint: Array = self._problem.native.solve_for(right)[:, columns]
         joint[:, held] = 0.0
-        return 0.5 * (joint + joint.T)
+        return np.asarray(0.5 * (joint + joint.T))
