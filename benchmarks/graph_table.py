@@ -90,8 +90,8 @@ def scale_section(rows: _Rows, table: Any) -> str:  # noqa: ANN401
         peak = max(row["peak_mb"] for row in mine) / 1e3
         text += (
             f"Of Manhattan worlds time grows with exponent {times:.2f} (bar: {_TIME_EXPONENT}), peak memory with "
-            f"{memory:.2f} (bar: {_MEMORY_EXPONENT}), its part beyond the bare program with {beyond:.2f}; the largest peak "
-            f"is {peak:.1f} GB (bar: {_PEAK_GB:g}). "
+            f"{memory:.2f} (bar: {_MEMORY_EXPONENT}), its part beyond the bare program with {beyond:.2f}; the largest "
+            f"peak is {peak:.1f} GB (bar: {_PEAK_GB:g}). "
         )
     for name in dict.fromkeys(row["graph"] for row in rows):
         part = [row for row in rows if row["graph"] == name]
