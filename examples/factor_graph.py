@@ -1,7 +1,5 @@
 """Factor graphs from the textbook to a factor of one's own: python examples/factor_graph.py."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,8 +17,7 @@ def two_places() -> None:
     graph.add(Between(0, 1, [10.0], Isotropic(1.0)))
     graph.add(Prior(1, [11.0], Isotropic(2.0)))
     solution = solve(graph, values)
-    sigmas = np.sqrt(Marginals(graph, solution.values).covariance([0, 1])[:, 0, 0])
-    for key, sigma in enumerate(sigmas):
+    for key, sigma in enumerate(np.sqrt(Marginals(graph, solution.values).covariance([0, 1])[:, 0, 0])):
         print(f"x{key} = {solution.values.at(key)[0]:.3f} +- {sigma:.3f} m")
 
 
@@ -45,12 +42,12 @@ def closed_loop(n: int = 100, drift: float = 2.0) -> None:
     graph, values = FactorGraph(), Values()
     values.insert(np.arange(n + 1), odometry)
     step = odometry[:-1].inverse() @ odometry[1:]
-    graph.add(Between(np.arange(n), np.arange(1, n + 1), step, Diagonal([1e-4, 0.05, 0.05])))
+    graph.add(Between(np.arange(n), np.arange(n) + 1, step, Diagonal([1e-4, 0.05, 0.05])))
     graph.fix(0)
     graph.add(Between(n, 0, SE2.identity(), Diagonal([1e-4, 0.001, 0.001])))
-    beacon = np.tile([0.0, 40.0], (5, 1))
-    distance = np.linalg.norm(truth.matrix[::25, :2, 2] - beacon, axis=1)
-    graph.add(Beacon(np.arange(0, n + 1, 25), data=(beacon, distance), noise=Isotropic(0.5)))
+    beacon, seen = np.tile([0.0, 40.0], (5, 1)), np.arange(0, n + 1, 25)
+    distance = np.linalg.norm(truth.matrix[seen, :2, 2] - beacon, axis=1)
+    graph.add(Beacon(seen, data=(beacon, distance), noise=Isotropic(0.5)))
     solution = solve(graph, values)
     moved = np.diff((solution.values.block(SE2)[1].matrix - drifted)[:, :2, 2], axis=0)
     print(f"chi2 {solution.initial_chi2:.4g} -> {solution.chi2:.4g} in {solution.iterations} steps ({solution.start})")
