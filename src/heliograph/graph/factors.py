@@ -336,7 +336,7 @@ class LinearMotion(NativeRecord):
             ) from None
         self._fill(
             keys=keys,
-            measurement=np.concatenate([flat_F, flat_u], axis=1),
+            measurement=np.ascontiguousarray(np.concatenate([flat_F, flat_u], axis=1)),  # broadcast parts join by column
             measured=None,
             rows=after,
             noise=noise,
