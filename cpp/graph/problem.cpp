@@ -256,7 +256,7 @@ std::vector<double> GraphProblem::multiply(std::span<const double> v) const {
 
 void GraphProblem::retract() {
   for (const FamilyBlock& family : families_)
-    retract_block(family, values_.data() + family.value, step_.data() + family.tangent, candidate_.data() + family.value);
+    retract_block(family, values_.data(), step_.data(), candidate_.data());
 }
 
 }  // namespace heliograph

@@ -17,6 +17,7 @@
 
 // One function a room; main.cpp calls them all.
 void check_cloud();
+void check_graph_files();
 void check_graph_ordering();
 void check_graph_factors();
 void check_imu();
