@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import GraphError
+from heliograph.graph.diagnosis import require_determined, require_solved
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.problem import Problem
 from heliograph.graph.records import as_keys, key_list
@@ -55,7 +56,16 @@ class Marginals:
         self._held[self._problem.held] = True
         self._problem.analyze()
         self._problem.check_finite(self._problem.linearize())
-        self._problem.require_determined()
+        before = require_determined(self._problem, weighted=True)
+        key = self._problem.factorize(0.0, 0.0)
+        if key is not None or not before.complete:
+            require_solved(self._problem, before=before, failed=key is not None)
+            key = self._problem.factorize(0.0, 0.0)
+        if key is not None:
+            raise GraphError(
+                f"the normal equations are not positive definite at variable {key}, although no motion is entirely free: "
+                "the information of its factors is too uneven for double precision"
+            )
 
     def _dense(self, keys: ArrayLike) -> NDArray[np.int64]:
         asked = as_keys(keys).reshape(-1)

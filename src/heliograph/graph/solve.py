@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from heliograph.errors import ConfigError, GraphError, closest
+from heliograph.graph.diagnosis import require_determined, require_solved
 from heliograph.graph.dogleg import dogleg
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.gauss_newton import gauss_newton
@@ -74,8 +75,12 @@ def solve(
     first = problem.linearize()
     problem.check_finite(first)
     clock.lap("iterate")
+    before = require_determined(problem)
+    clock.lap("diagnose")
     found = METHODS[method](problem, settings, first, observer or _ignore)
     clock.lap("iterate")
+    require_solved(problem, before=before, failed=found.status == "indefinite")
+    clock.lap("diagnose")
     return Solution(
         values=problem.values(),
         status=found.status,
