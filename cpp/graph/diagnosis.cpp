@@ -32,6 +32,25 @@ bool regular_factor(double* a, int n, const double* magnitude, double* scale) {
   return true;
 }
 
+// Whether the factor above exists, magnitudes being the diagonal: L D L' without roots, for the many that are only asked.
+bool regular(const double* a, int n) {
+  double l[kMaxDof * kMaxDof], d[kMaxDof];
+  for (int i = 0; i < n; ++i) {
+    double pivot = a[i * n + i];
+    const double least = kFullRank * pivot;
+    if (!(pivot > 0.0)) return false;
+    for (int j = 0; j < i; ++j) {
+      double x = a[i * n + j];
+      for (int k = 0; k < j; ++k) x -= l[i * n + k] * l[j * n + k] * d[k];
+      l[i * n + j] = x / d[j];
+      pivot -= x * l[i * n + j];
+    }
+    if (!(pivot > least)) return false;
+    d[i] = pivot;
+  }
+  return true;
+}
+
 struct Slots {
   std::array<std::array<int32_t, kMaxArity>, kMaxArity> at{};  // of H_ab, a <= b, in a factor's block
   int32_t size = 0;
@@ -77,6 +96,11 @@ class Finder {
   }
 
   FreeSpace run(std::span<const int32_t> assumed);
+  int32_t components() const {
+    FreeSpace space;
+    components(&space);
+    return space.components;
+  }
 
  private:
   size_t at(int32_t v) const { return static_cast<size_t>(v); }
@@ -91,7 +115,7 @@ class Finder {
     return {adjacent_.data() + begin_[at(v)], static_cast<size_t>(begin_[at(v) + 1] - begin_[at(v)])};
   }
   void index();
-  void components(FreeSpace* out);
+  void components(FreeSpace* out) const;
   void settle(int32_t v, bool fixed);
   void ready(int32_t v);
   bool attempt(int32_t v);
@@ -145,7 +169,7 @@ void Finder::index() {
         adjacent_[at(to[at(group.variables[k * static_cast<size_t>(group.arity) + a])]++)] = number;
 }
 
-void Finder::components(FreeSpace* out) {
+void Finder::components(FreeSpace* out) const {
   std::vector<int32_t> parent(variables_);
   std::iota(parent.begin(), parent.end(), 0);
   for (const FactorGroup& group : problem_.groups()) {
@@ -183,7 +207,8 @@ void Finder::ready(int32_t v) {
 bool Finder::attempt(int32_t v) {
   const int n = problem_.dof_of(at(v));
   tried_[at(v)] = ready_[at(v)];
-  double sum[kMaxDof * kMaxDof] = {}, magnitude[kMaxDof], scale[kMaxDof];
+  double sum[kMaxDof * kMaxDof], magnitude[kMaxDof], scale[kMaxDof];
+  std::fill_n(sum, n * n, 0.0);
   for (const int32_t f : factors_at(v)) {
     if (open_[at(f)] != 1) continue;
     const Link factor = link(f);
@@ -192,12 +217,13 @@ bool Finder::attempt(int32_t v) {
     const double* h = factor.block + factor.slots->at[a][a];
     for (int k = 0; k < n * n; ++k) sum[k] += h[k];
   }
-  for (int k = 0; k < n; ++k) magnitude[k] = sum[k * n + k];
-  if (!regular_factor(sum, n, magnitude, scale)) return false;
   if (columns_ == 0) {
+    if (!regular(sum, n)) return false;
     settle(v, true);
     return true;
   }
+  for (int k = 0; k < n; ++k) magnitude[k] = sum[k * n + k];
+  if (!regular_factor(sum, n, magnitude, scale)) return false;
   std::vector<double> right(static_cast<size_t>(n * columns_), 0.0);
   bool moved = false;
   for (const int32_t f : factors_at(v)) {
@@ -413,10 +439,6 @@ void Finder::store(const std::vector<int32_t>& members, FreeSpace* out) {
 }
 
 FreeSpace Finder::run(std::span<const int32_t> assumed) {
-  components(&out_);
-  out_.freedom.assign(variables_, Freedom::determined);
-  out_.part.assign(variables_, -1);
-  out_.motion_of.assign(variables_, -1);
   place_.assign(variables_, Place::open);
   ready_.assign(variables_, 0);
   tried_.assign(variables_, 0);
@@ -432,6 +454,11 @@ FreeSpace Finder::run(std::span<const int32_t> assumed) {
   for (size_t v = 0; v < variables_; ++v)
     if (place_[v] == Place::open) left.push_back(static_cast<int32_t>(v));
   if (left.empty()) return std::move(out_);
+  out_.determined = false;
+  components(&out_);
+  out_.freedom.assign(variables_, Freedom::determined);
+  out_.part.assign(variables_, -1);
+  out_.motion_of.assign(variables_, -1);
   motion_.resize(variables_);
   split(std::move(left));
   while (!work_.empty()) {
@@ -447,6 +474,8 @@ FreeSpace Finder::run(std::span<const int32_t> assumed) {
 FreeSpace free_space(const GraphProblem& problem, std::span<const int32_t> assumed, int most_columns) {
   return Finder(problem, most_columns).run(assumed);
 }
+
+int32_t count_components(const GraphProblem& problem) { return Finder(problem, 0).components(); }
 
 double least_pivot(const GraphProblem& problem) {
   const Plan& plan = problem.plan();

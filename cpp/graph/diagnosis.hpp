@@ -17,6 +17,7 @@ enum class Freedom : uint8_t {
 };
 
 struct FreeSpace {
+  bool determined = true;               // everything is; then what follows is left empty
   int32_t components = 0;               // of the graph, over free and held variables; a variable without factors is one
   std::vector<int32_t> component;       // (variables)
   std::vector<int32_t> factors;         // (variables) that touch it
@@ -31,6 +32,8 @@ struct FreeSpace {
 // The problem must be linearised. Ranks are judged on the blocks of the normal equations, cautiously: what is called
 // determined is so; what is not may still be.
 FreeSpace free_space(const GraphProblem& problem, std::span<const int32_t> assumed, int most_columns);
+
+int32_t count_components(const GraphProblem& problem);
 
 // Least ratio of a pivot to the diagonal it came from, in the last factorisation.
 double least_pivot(const GraphProblem& problem);

@@ -9,6 +9,7 @@ from heliograph.graph.factors import Bearing, Between, Landmark, LinearMotion, P
 from heliograph.graph.families import Family, family_of, vectors
 from heliograph.graph.free_motion import FreeMotion
 from heliograph.graph.g2o import read_pose_graph, write_g2o, write_toro
+from heliograph.graph.gnc import RobustSettings, RobustSolution, solve_robust
 from heliograph.graph.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
 from heliograph.graph.marginals import Marginals
 from heliograph.graph.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
@@ -44,6 +45,8 @@ __all__ = [
     "Position",
     "Prior",
     "Range",
+    "RobustSettings",
+    "RobustSolution",
     "Solution",
     "SolverSettings",
     "SquareRoot",
@@ -59,6 +62,7 @@ __all__ = [
     "read_pose_graph",
     "save_graph",
     "solve",
+    "solve_robust",
     "to_dot",
     "vectors",
     "write_g2o",

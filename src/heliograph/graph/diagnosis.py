@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,16 +38,16 @@ class Diagnosis:
 
     Parameters
     ----------
-    components : int
-        Connected components of the graph; a variable without factors is one.
     free : tuple of FreeMotion
         What is undetermined, if anything.
+    components : int
+        Connected components of the graph, held variables included; a variable without factors is one. 0: not counted.
     complete : bool
         Nothing else can be free. False where the graph is too entangled to decide that without factorising it.
     """
 
-    components: int
     free: tuple[FreeMotion, ...]
+    components: int = 0
     complete: bool = True
 
     @property
@@ -92,18 +93,18 @@ def diagnose(graph: FactorGraph, values: Values) -> Diagnosis:
     Notes
     -----
     What is held determines its neighbours, they theirs, and so on. Each connected part that is left is moved by a few
-    seeds; motions of a part that no factor resists are free (docs/theory/graph.md). Parts that would need too many seeds
-    are factorised, and vectors near the null space come from inverse iteration. A motion is called free only if not one
-    factor resists it by more than rounding, so weak information is never taken for none.
+    seeds; motions of a part that no factor resists are free. Parts that would need too many seeds are factorised, and
+    vectors near the null space come from inverse iteration. A motion is called free only if not one factor resists it
+    by more than rounding, so weak information is never taken for none.
     """
     problem = Problem(graph, values)
     problem.check_finite(problem.linearize())
     found = inspect(problem)
-    if found.complete or not found.ok or problem.free_scalars == 0:
-        return found
-    problem.analyze()
-    problem.linearize()
-    return inspect(problem, factorize=True)
+    if found.ok and not found.complete:
+        problem.analyze()
+        problem.linearize()
+        found = inspect(problem, factorize=True)
+    return replace(found, components=_core.graph_components(problem.native))
 
 
 def require_determined(problem: Problem, *, weighted: bool = False) -> Diagnosis:
@@ -155,8 +156,9 @@ class _Space:
 
     def __init__(self, problem: Problem, assumed: Indices) -> None:
         found = _core.graph_free_space(problem.native, assumed.astype(np.int32), _MOST_COLUMNS)
-        self.components: int = found[0]
-        self.component, self.factors, self.freedom, self.part, self.columns, self.motion_of, self.motion = found[1:]
+        self.determined: bool = found[0]
+        self.components: int = found[1]
+        self.component, self.factors, self.freedom, self.part, self.columns, self.motion_of, self.motion = found[2:]
 
     def parts(self) -> list[Indices]:
         """Return the variables of each part, ascending."""
@@ -181,8 +183,8 @@ class _Search:
     def run(self, *, factorize: bool) -> Diagnosis:
         space = _Space(self.problem, np.zeros(0, dtype=np.int64))
         self.space = space
-        if not space.freedom.any():
-            return Diagnosis(components=space.components, free=())
+        if space.determined:
+            return Diagnosis(free=())
         problem = self.problem
         self.sensitivities = Sensitivities(problem, weighted=self.weighted)
         self.keys = problem.start.keys()
@@ -201,7 +203,7 @@ class _Search:
     def _split(self, variables: Indices) -> list[tuple[Family, Indices]]:
         """Return ascending variables by family."""
         cuts = np.searchsorted(variables, self.bounds)
-        parts = [variables[a:b] for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+        parts = [variables[a:b] for a, b in itertools.pairwise(cuts)]
         return [(f, part) for f, part in zip(self.problem.families, parts, strict=True) if len(part)]
 
     def _elements(self, family: Family, variables: Indices) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.graph.families import Family
-from heliograph.graph.world_motions import describe_motions, world_motions
+from heliograph.graph.world_motions import WorldMotions, describe_motions, world_motions
 from heliograph.lie import S2, SO2, SO3
 
 __all__ = ["FreeMotion", "describe_free", "key_ranges", "named_keys", "remedy_for"]
@@ -34,7 +35,7 @@ class FreeMotion:
     variables : str
         What they are, with their keys in ranges: ``poses 120-340``.
     kind : str
-        ``translation``, ``rotation``, ``rigid`` (both), ``other`` or ``no factor``.
+        ``translation``, ``rotation``, ``rigid`` (both), ``scale``, ``other`` or ``no factor``.
     directions : int
         Number of independent motions; for `each`, of one variable.
     words : str
@@ -74,9 +75,9 @@ class FreeMotion:
 def key_ranges(keys: Keys) -> str:
     """Return keys with runs as ranges: ``3, 7, 120-340``; cut off after some."""
     ordered = np.unique(keys)
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(ordered) != 1) + 1]) if len(ordered) else np.zeros(0, int)
+    starts = np.flatnonzero(np.concatenate([[True], np.diff(ordered) != 1])) if len(ordered) else ordered
     ends = np.concatenate([starts[1:], [len(ordered)]]) - 1
-    runs = []
+    runs: list[str] = []
     for a, b in zip(ordered[starts[:_MOST_RUNS]].tolist(), ordered[ends[:_MOST_RUNS]].tolist(), strict=True):
         runs.append(str(a) if a == b else f"{a}, {b}" if b == a + 1 else f"{a}-{b}")
     more = f" ... ({len(ordered)} in all)" if len(starts) > _MOST_RUNS else ""
@@ -96,8 +97,8 @@ def named_keys(keys: Sequence[Keys], families: Sequence[Family]) -> str:
         if len(some):
             by_noun.setdefault(_noun(family), []).append(some)
     parts = []
-    for noun, some in by_noun.items():
-        together = np.concatenate(some)
+    for noun, batches in by_noun.items():
+        together = np.concatenate(batches)
         parts.append(f"{noun}{'' if len(together) == 1 else 's'} {key_ranges(together)}")
     return " and ".join(parts)
 
@@ -110,6 +111,10 @@ def remedy_for(kind: str, key: int, *, alone: bool) -> str:
         return "add a factor that sees this direction, or hold it (graph.fix)"
     if kind == "rigid":
         return f"hold one of them, such as graph.fix({key}), or give one a Prior"
+    if kind == "scale":
+        return "add a factor that sees a distance, such as a Range, or hold two of them (graph.fix)"
+    if kind == "other":
+        return "add a factor that sees it, or hold one of them (graph.fix)"
     if kind == "translation":
         return f"add a Position or a Prior, or hold one of them (graph.fix({key}))"
     return f"add a factor that sees this turn, such as a Prior, or hold one of them (graph.fix({key}))"
@@ -149,7 +154,7 @@ def describe_free(
     bounds = np.cumsum([0, *map(len, keys)])
     told = []
     for support, vectors in moves:
-        chosen = [support[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+        chosen = [support[a:b] for a, b in itertools.pairwise(bounds)]
         mine = [(k[c], f, e[c]) for k, f, e, c in zip(keys, families, elements, chosen, strict=True) if c.any()]
         told.extend(_tell(np.stack(vectors, axis=1)[support[owner]], mine, component))
     return told
@@ -164,7 +169,7 @@ def _sparse(basis: Array) -> Array:
         rows[k] /= rows[k, j]
         others = np.arange(len(rows)) != k
         rows[others] -= rows[others, j][:, None] * rows[k]
-    return np.where(np.abs(rows) < 1e-9 * np.abs(rows).max(axis=1, keepdims=True), 0.0, rows).T
+    return np.asarray(np.where(np.abs(rows) < 1e-9 * np.abs(rows).max(axis=1, keepdims=True), 0.0, rows).T)
 
 
 def _tell(basis: Array, mine: list[tuple[Keys, Family, Array]], component: int) -> list[FreeMotion]:
@@ -182,8 +187,11 @@ def _tell(basis: Array, mine: list[tuple[Keys, Family, Array]], component: int) 
         size = np.linalg.norm(scaled, axis=0)
         size = np.where(size > 1e-9 * size.max(), size, np.inf)
         twists = np.linalg.lstsq(scaled / size, rigid, rcond=1e-9)[0] / size[:, None]
-        words, kind = describe_motions(motions, twists)
-        parts.append((rigid.shape[1], words, kind))
+        rest, scales = _without_scale(motions, twists)
+        if rest.shape[1]:
+            parts.append((rest.shape[1], *describe_motions(motions, rest)))
+        if scales:
+            parts.append((1, "grow and shrink as a whole", "scale"))
     others = int((sines > _RIGID).sum())
     if others:
         ways = "in 1 way" if others == 1 else f"in {others} independent ways"
@@ -203,6 +211,16 @@ def _tell(basis: Array, mine: list[tuple[Keys, Family, Array]], component: int) 
     ]
 
 
+def _without_scale(motions: WorldMotions, twists: Array) -> tuple[Array, bool]:
+    """Return the combinations of twists (g, k) that do not scale, and whether there is one that does."""
+    if motions.space == 0:
+        return twists, False
+    share = twists[-1] * motions.extent
+    if np.abs(share).max() <= _MOVES * np.abs(twists).max():
+        return twists, False
+    return np.asarray(twists @ np.linalg.svd(share[None])[2][1:].T), True
+
+
 def _weights(families: Sequence[Family], keys: Sequence[Keys], extent: float) -> Array:
     """Return what makes tangents (T,) comparable: radians as they are, metres relative to the extent."""
     parts = []
@@ -215,7 +233,7 @@ def _weights(families: Sequence[Family], keys: Sequence[Keys], extent: float) ->
 
 
 def _common(mine: Array, world: Array) -> tuple[Array, Array]:
-    """Return an orthonormal basis of what two spaces share, and the sines (n,) of all angles of the first to the second."""
+    """Return an orthonormal basis of what two spaces share, and the sines (n,) of the first's angles to the second."""
     _, _, mixes = np.linalg.svd(world.T @ mine)
     turned = mine @ mixes.T
     sines = np.linalg.norm(turned - world @ (world.T @ turned), axis=0)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import GraphError
+from heliograph.graph.constraints import stiffen
 from heliograph.graph.diagnosis import require_determined, require_solved
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.problem import Problem
@@ -55,6 +56,7 @@ class Marginals:
         self._held = np.zeros(len(values), dtype=bool)
         self._held[self._problem.held] = True
         self._problem.analyze()
+        stiffen(self._problem)
         self._problem.check_finite(self._problem.linearize())
         before = require_determined(self._problem, weighted=True)
         key = self._problem.factorize(0.0, 0.0)
@@ -63,8 +65,8 @@ class Marginals:
             key = self._problem.factorize(0.0, 0.0)
         if key is not None:
             raise GraphError(
-                f"the normal equations are not positive definite at variable {key}, although no motion is entirely free: "
-                "the information of its factors is too uneven for double precision"
+                f"the normal equations are not positive definite at variable {key}, although no motion is entirely "
+                "free: the information of its factors is too uneven for double precision"
             )
 
     def _dense(self, keys: ArrayLike) -> NDArray[np.int64]:

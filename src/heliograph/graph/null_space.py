@@ -16,8 +16,8 @@ __all__ = ["Sensitivities"]
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# A motion is free if every factor's |J v| is below this share of sum |J_c| |v_c|. Weak information, which scales both sides
-# alike, is never taken for none.
+# A motion is free if every factor's |J v| is below this share of sum |J_c| |v_c|. Weak information, which scales both
+# sides alike, is never taken for none.
 _NOTHING = 1e-9
 _NOTHING_DIFFERENCED = 1e-6  # Jacobians by central differences
 _CANDIDATE = 1e-5  # singular values, relative, below which a motion is looked at
@@ -104,29 +104,30 @@ class Sensitivities:
         place[variables] = np.concatenate([[0], np.cumsum(self._dofs[variables])])[:-1]
         motion = motion[:, np.abs(motion).max(axis=0, initial=0.0) > 0.0]
         if motion.shape[1] == 0:
-            return motion
+            return np.asarray(motion)
         motion = motion / np.abs(motion).max(axis=0)
         motion = np.linalg.qr(motion)[0]  # so that small singular values mean little resistance and nothing else
         triangle = np.zeros((0, motion.shape[1]))
         for strain, _, _ in self._pieces(member, place, motion):
-            triangle = np.linalg.qr(np.concatenate([triangle, strain.reshape(-1, motion.shape[1])]), mode="r")
+            rows = np.concatenate([triangle, strain.reshape(-1, motion.shape[1])])
+            triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
         _, strengths, mixes = np.linalg.svd(triangle)
         strengths = np.pad(strengths, (0, motion.shape[1] - len(strengths)))
-        candidates = motion @ mixes[strengths <= _CANDIDATE * max(1.0, float(strengths[0]))].T
+        candidates: Array = motion @ mixes[strengths <= _CANDIDATE * max(1.0, float(strengths[0]))].T
         if candidates.shape[1] == 0:
             return candidates
-        return candidates[:, self._accepted(member, place, candidates)]
+        return np.asarray(candidates[:, self._accepted(member, place, candidates)])
 
     def _accepted(self, member: NDArray[np.bool_], place: Indices, candidates: Array) -> NDArray[np.bool_]:
         largest = np.abs(candidates).max(axis=0)
-        fine = largest > 0.0
+        fine: NDArray[np.bool_] = largest > 0.0
         for strain, reach, tolerance in self._pieces(member, place, candidates):
             size = np.sqrt(np.einsum("nrm,nrm->nm", strain, strain))
             fine &= (size <= tolerance * (reach + 1e-3 * largest)).all(axis=0)
         return fine
 
     def free_alone(self, variables: Indices, dof: int) -> dict[int, Array]:
-        """Return, of variables whose neighbours all rest, the motions (dof, n) that nothing resists, where there are any.
+        """Return the motions (dof, n) that nothing resists, where there are any, of variables whose neighbours rest.
 
         All of them have `dof` degrees of freedom. They are judged together, so thousands cost little.
         """

@@ -29,7 +29,7 @@ class WorldMotions:
     ----------
     columns : (T, g) float64
         One motion a column: the rotations about the centre, as many as the space has, then the translations, then
-        what `extra` counts. Rotations are per radian, translations per metre.
+        what `extra` counts, then the growth about the centre. Rotations are per radian, translations per metre.
     space : int
         2 or 3; 0: there is no space, the columns shift the components of vectors.
     turns : int
@@ -39,7 +39,7 @@ class WorldMotions:
     extent : float
         Largest distance of a position from the centre; 1 for a single one [m].
     extra : int
-        Shifts of velocities (extended poses), at the end.
+        Shifts of velocities (extended poses), before the growth.
     """
 
     columns: Array
@@ -82,9 +82,10 @@ def world_motions(families: Sequence[Family], elements: Sequence[Array]) -> Worl
     columns = []
     for family, e in zip(families, elements, strict=True):
         block = _of_family(family, e, centre, space, turns)
-        columns.append(np.pad(block, ((0, 0), (0, turns + space + extra - block.shape[1]))))
+        growth = _growth(family, e, centre)
+        columns.append(np.column_stack([np.pad(block, ((0, 0), (0, turns + space + extra - block.shape[1]))), growth]))
     return WorldMotions(
-        columns=_stack(columns, turns + space + extra),
+        columns=_stack(columns, turns + space + extra + 1),
         space=space,
         turns=turns,
         centre=centre,
@@ -131,6 +132,24 @@ def _of_family(family: Family, e: Array, centre: Array, space: int, turns: int) 
     return out.reshape(count * family.dof, -1)
 
 
+def _growth(family: Family, e: Array, centre: Array) -> Array:
+    """Return how variables (N) move when all distances grow alike, (N dof,)."""
+    out = np.zeros((len(e), family.dof))
+    position = _position(family, e)
+    if position is None or position.shape[1] != len(centre):
+        return out.reshape(-1)
+    if family.lie is None:
+        out[:] = position - centre
+    else:
+        space = family.space
+        turns = 1 if space == 2 else 3
+        back = np.swapaxes(e[:, :space, :space], 1, 2)
+        out[:, turns : turns + space] = np.einsum("nij,nj->ni", back, position - centre)
+        if family.lie is ExtendedPose:
+            out[:, 6:] = np.einsum("nij,nj->ni", back, e[:, :3, 4])
+    return out.reshape(-1)
+
+
 def _turned(p: Array, space: int) -> Array:
     """Return how points (N, space) move when the world turns, (N, space, turns)."""
     if space == 2:
@@ -148,7 +167,7 @@ def describe_motions(motions: WorldMotions, twists: Array) -> tuple[str, str]:
     motions : WorldMotions
         What the coefficients mean.
     twists : (g, k) float64
-        k independent combinations of its columns.
+        k independent combinations of its columns, without growth.
 
     Returns
     -------
@@ -161,7 +180,7 @@ def describe_motions(motions: WorldMotions, twists: Array) -> tuple[str, str]:
         return f"shift {_axis_words(twists, 'component ', 'components ')}", "translation"
     turns, space = motions.turns, motions.space
     spin, shift = twists[:turns] * motions.extent, twists[turns : turns + space]
-    rate = twists[turns + space :]
+    rate = twists[turns + space : turns + space + motions.extra]
     size = float(np.abs(np.concatenate([spin, shift, rate])).max())
     _, strengths, mixes = np.linalg.svd(spin)
     rank = int((strengths > _FLAT * size).sum())
