@@ -52,7 +52,13 @@ $(RIVALS)/.installed: benchmarks/rivals.txt
 	$(RIVALS)/bin/python -m pip install -q --disable-pip-version-check -r $<
 	touch $@
 
-bench: $(STAMP) $(RIVALS)/.installed
+# Ceres comes from the distribution (Debian: libceres-dev); without it the benchmarks leave it out.
+CERES := $(if $(wildcard /usr/include/ceres/ceres.h),build/ceres_pose_graph)
+build/ceres_pose_graph: benchmarks/ceres/pose_graph.cpp
+	mkdir -p build
+	$(CXX) -std=c++17 -O3 -DNDEBUG -isystem /usr/include/eigen3 $< -o $@ -lceres -lglog
+
+bench: $(STAMP) $(RIVALS)/.installed $(CERES)
 	$(BIN)/python -m benchmarks all
 
 clean:

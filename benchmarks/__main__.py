@@ -5,15 +5,18 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import kitti, speed, table
+from benchmarks import graph, graph_scale, kitti, speed, table
 from benchmarks.rivals import ADAPTERS
 
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
-_NEEDS_DATA = ("kitti", "sharpness")
+_ALL = ("kitti", "sharpness", "speed", "graph", "graph-scale")
+_NEEDS_DATA = ("kitti", "sharpness", "graph")
+_RUNS = {"speed": 5, "graph": 7, "graph-scale": 1}
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
 
@@ -26,7 +29,7 @@ def _write(name: str, rows: list[dict[str, Any]]) -> None:
 
 def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("benchmark", choices=["kitti", "sharpness", "speed", "table", "all"])
+    parser.add_argument("benchmark", choices=[*_ALL, "table", "all"])
     parser.add_argument("--data", type=Path, default=_ROOT.parent / "shared" / "data" / "kitti_0005", help="KITTI 0005")
     parser.add_argument("--simulated", type=Path, help="simulated recording for `speed`; made if not given")
     parser.add_argument("--work", type=Path, default=_ROOT / "build" / "bench", help="scratch folder")
@@ -34,9 +37,34 @@ def _parse() -> argparse.Namespace:
         "--rival-bin", type=Path, default=_ROOT / "build" / "bench-venv" / "bin", help="rivals' programs"
     )
     parser.add_argument("--systems", nargs="+", choices=list(ADAPTERS), help=f"default: all; speed: {_TIMED}")
-    parser.add_argument("--runs", type=int, default=5, help="runs a system in `speed`")
+    parser.add_argument("--runs", type=int, help=f"runs a system; default: {_RUNS}")
+    parser.add_argument(
+        "--graphs", nargs="+", help=f"for `graph`: {graph.GRAPHS}; `graph-scale`: {list(graph_scale.WORLDS)}"
+    )
     parser.add_argument("--seconds", type=float, default=45.0, help="length of the simulated recording")
     return parser.parse_args()
+
+
+def _graphs(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
+    """Run the benchmarks of pose graphs with the systems that are there."""
+    programs = {
+        "heliograph": Path(sys.executable),
+        "rivals": arguments.rival_bin / "python",
+        "ceres": _ROOT / "build" / "ceres_pose_graph",
+    }
+    for name, program in programs.items():
+        if not program.exists():
+            print(f"{program} is not there: its solvers ({name}) are left out", file=sys.stderr)
+    work = arguments.work / "graph"
+    if "graph" in wanted:
+        there = [s for s in graph.SOLVERS if programs.get(s.system, programs["rivals"]).exists()]
+        folder = arguments.data.parent / "posegraphs"
+        sources = {name: folder / f"{name}.g2o" for name in arguments.graphs or graph.GRAPHS}
+        _write("graph", graph.compare(sources, there, work, programs, runs=arguments.runs or _RUNS["graph"]))
+    if "graph-scale" in wanted:
+        names = arguments.graphs or list(graph_scale.WORLDS)
+        runs = arguments.runs or _RUNS["graph-scale"]
+        _write("graph_scale", graph_scale.measure_scale(names, work, programs, runs=runs))
 
 
 def main() -> None:
@@ -46,7 +74,7 @@ def main() -> None:
     bins = dict.fromkeys(ADAPTERS, arguments.rival_bin) | {"heliograph": ours}
     chosen = [ADAPTERS[name] for name in arguments.systems or ADAPTERS]
     timed = [ADAPTERS[name] for name in arguments.systems or _TIMED]
-    wanted = ("kitti", "sharpness", "speed") if arguments.benchmark == "all" else (arguments.benchmark,)
+    wanted = _ALL if arguments.benchmark == "all" else (arguments.benchmark,)
     if not arguments.data.exists():
         print(f"{arguments.data} is not there: {', '.join(_NEEDS_DATA)} are left out", file=sys.stderr)
         wanted = tuple(name for name in wanted if name not in _NEEDS_DATA)
@@ -58,7 +86,9 @@ def main() -> None:
         folder = arguments.simulated or speed.simulated(
             arguments.work / f"warehouse_{arguments.seconds:g}", ours / "heliograph", seconds=arguments.seconds, seed=1
         )
-        _write("speed", speed.alternate(folder, timed, arguments.work, bins, runs=arguments.runs))
+        _write("speed", speed.alternate(folder, timed, arguments.work, bins, runs=arguments.runs or _RUNS["speed"]))
+    if "graph" in wanted or "graph-scale" in wanted:
+        _graphs(arguments, wanted)
     table.write_table(_RESULTS, _ROOT / "benchmarks" / "BENCHMARKS.md")
     table.write_readme(_RESULTS, _ROOT / "README.md")
 

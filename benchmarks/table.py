@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.graph_table import graph_section, scale_section
+
 __all__ = ["write_readme", "write_table"]
 
 _Rows = list[dict[str, Any]]
@@ -25,6 +27,9 @@ def write_table(results: Path, target: Path) -> None:
     for name, section in (("kitti", _kitti), ("sharpness", _sharpness), ("speed", _speed)):
         if name in found:
             sections.append(section(found[name]))
+    for name, section_of in (("graph", graph_section), ("graph_scale", scale_section)):
+        if name in found:
+            sections.append(section_of(found[name], _table))
     target.write_text("\n".join(sections))
 
 

@@ -11,6 +11,7 @@ NB_MODULE(_core, m) {
   heliograph::bind_graph_factors(m);
   heliograph::bind_imu(m);
   heliograph::bind_io(m);
+  heliograph::bind_lie(m);
   heliograph::bind_maps(m);
   heliograph::bind_registration(m);
   heliograph::bind_sim(m);

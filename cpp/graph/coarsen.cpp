@@ -13,7 +13,24 @@ namespace {
 constexpr int32_t kNone = -1;
 constexpr int32_t kCoarsest = 60;     // nodes: small enough to try several seeds
 constexpr double kStalled = 0.92;     // a level that shrinks less than this is the last
-constexpr int kSeeds = 5;
+constexpr int kSeeds = 3;
+constexpr size_t kReach = 512;        // of a swap
+
+// The numbers below n, always in the same disorder: matching along the numbering of a grid would make stripes of it.
+// Swaps reach only so far that they stay in the cache.
+std::vector<int32_t> shuffled(size_t n) {
+  std::vector<int32_t> sequence(n);
+  std::iota(sequence.begin(), sequence.end(), 0);
+  uint64_t state = 0x9E3779B97F4A7C15;
+  for (size_t k = n; k > 1; --k) {
+    state ^= state << 13;  // xorshift (Marsaglia 2003)
+    state ^= state >> 7;
+    state ^= state << 17;
+    const size_t reach = std::min(k, kReach);
+    std::swap(sequence[k - 1], sequence[k - 1 - static_cast<size_t>((state >> 32) * reach >> 32)]);
+  }
+  return sequence;
+}
 
 // Nodes by ascending degree: those with little choice are matched first.
 std::vector<int32_t> by_degree(const WeightedGraph& graph) {
@@ -23,7 +40,7 @@ std::vector<int32_t> by_degree(const WeightedGraph& graph) {
   for (int32_t i = 0; i < graph.size(); ++i) ++begin[bin(i) + 1];
   std::partial_sum(begin.begin(), begin.end(), begin.begin());
   std::vector<int32_t> sequence(graph.weight.size());
-  for (int32_t i = 0; i < graph.size(); ++i) sequence[begin[bin(i)]++] = i;
+  for (const int32_t i : shuffled(sequence.size())) sequence[begin[bin(i)]++] = i;
   return sequence;
 }
 
@@ -116,13 +133,31 @@ WeightedGraph contract(const WeightedGraph& fine, const std::vector<int32_t>& co
   return graph;
 }
 
-// The best of several grown and refined divisions. The seeds are spread over the numbering: any would do, all differ.
+// The last node that a search by breadth reaches.
+int32_t farthest(const WeightedGraph& graph, int32_t from) {
+  std::vector<uint8_t> seen(graph.weight.size(), 0);
+  std::vector<int32_t> queue{from};
+  seen[from] = 1;
+  for (size_t k = 0; k < queue.size(); ++k)
+    for (int32_t p = graph.offset[queue[k]]; p < graph.offset[queue[k] + 1]; ++p) {
+      const int32_t j = graph.neighbour[p];
+      if (seen[j]) continue;
+      seen[j] = 1;
+      queue.push_back(j);
+    }
+  return queue.back();
+}
+
+// The best of several grown and refined divisions. They start at the ends of the graph: of one of its longest ways, and
+// far from nodes spread over the numbering.
 std::vector<uint8_t> divide_coarsest(const WeightedGraph& graph) {
   std::vector<uint8_t> best;
   double least = 0;
   const int32_t n = graph.size();
+  int32_t seed = 0;
   for (int k = 0; k < kSeeds; ++k) {
-    const auto seed = static_cast<int32_t>((2 * int64_t{k} + 1) * n / (2 * kSeeds));
+    const auto spread = static_cast<int32_t>((2 * int64_t{k} + 1) * n / (2 * kSeeds));
+    seed = farthest(graph, k % 2 == 1 ? seed : spread);
     Division division(graph, std::vector<uint8_t>(static_cast<size_t>(n), 1));
     division.grow(seed);
     division.refine();

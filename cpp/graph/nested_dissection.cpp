@@ -14,7 +14,7 @@ namespace heliograph {
 namespace {
 
 constexpr int32_t kNone = -1;
-constexpr int32_t kLeaf = 120;    // nodes: minimum degree does as well below
+constexpr size_t kLeaf = 200;      // nodes: minimum degree does as well below
 constexpr int32_t kHub = 16;      // neighbours: more, and replacing one of them is not worth the search
 
 // The graph without its chains: nodes with at most two neighbours go first in any good order, and two neighbours become

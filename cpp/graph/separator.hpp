@@ -28,9 +28,10 @@ class Division {
  public:
   Division(const WeightedGraph& graph, std::vector<uint8_t>&& part);
 
-  // Fiduccia-Mattheyses: passes of best moves, each node once a pass, each pass taken back to its best moment.
+  // Passes of best moves, each node once a pass, each pass taken back to its best moment.
   void refine();
-  // Part 0 grows from a node until it has half of the weight; restarts beside it where a component ends. Expects all in part 1.
+  // Part 0 grows from a node until it has half of the weight; restarts elsewhere where a component ends. Expects all in
+  // part 1.
   void grow(int32_t seed);
 
   // Smaller is better: the separator's weight, and the more so the less even the parts.
@@ -38,25 +39,33 @@ class Division {
   std::vector<uint8_t>& part() { return part_; }
 
  private:
+  // Of equal gains the latest offer goes first: a front then advances in one place and not in specks.
   struct Move {
-    int64_t gain;
+    int32_t gain;
+    int32_t rank;
     int32_t node;
-    bool operator<(const Move& other) const { return gain != other.gain ? gain < other.gain : node > other.node; }
+    bool operator<(const Move& other) const { return gain != other.gain ? gain < other.gain : rank < other.rank; }
   };
-  int64_t gain(int32_t node, uint8_t to) const;
+  enum class Direction : uint8_t { to_first, to_second, either };
+
+  bool open(uint8_t to) const { return direction_ == Direction::either || static_cast<uint8_t>(direction_) == to; }
+  int32_t gain(int32_t node, uint8_t to) const;
+  void offer(int32_t node);
   void offer(int32_t node, uint8_t to);
   bool fresh(uint8_t to);
   int choose();
+  void begin_pass(Direction direction);
   void move(int32_t node, uint8_t to);
   void set(int32_t node, uint8_t to);
   void back_to(size_t moment);
-  bool pass();
-  double score(const std::array<int64_t, 3>& weight) const;
+  bool pass(Direction direction);
 
   const WeightedGraph& graph_;
   std::vector<uint8_t> part_;
   std::array<int64_t, 3> weight_{};                 // of the parts and the separator
   int64_t limit_ = 0;                               // of a part's weight
+  Direction direction_ = Direction::either;         // of this pass
+  int32_t rank_ = 0;                                // of the latest offer
   std::array<std::vector<Move>, 2> heap_;           // moves to either part; entries go stale and are checked when on top
   std::vector<uint8_t> locked_;                     // nodes that have moved in this pass
   std::vector<std::pair<int32_t, uint8_t>> trail_;  // changes in this pass: node and where it was

@@ -17,7 +17,9 @@
 
 // One function a room; main.cpp calls them all.
 void check_cloud();
+void check_graph_files();
 void check_graph_ordering();
+void check_graph_factors();
 void check_imu();
 void check_io();
 void check_maps();

@@ -1,13 +1,16 @@
 """The benchmark harness: short adapters, tables that are those of the results, frames and shifts undone."""
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from heliograph.data import Trajectory
-from heliograph.lie import se3
+from heliograph.graph import solve, write_g2o
+from heliograph.graph.worlds import grid_walk, manhattan
+from heliograph.lie import SE2, SE3, se3
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -30,8 +33,9 @@ def _walk(n=400):
 
 
 def test_adapters_are_short(harness):
-    for file in (ROOT / "benchmarks" / "rivals").glob("*.py"):
-        assert len(file.read_text().splitlines()) <= 60, file.name
+    for folder in ("rivals", "graph_rivals"):
+        for file in (ROOT / "benchmarks" / folder).glob("*.py"):
+            assert len(file.read_text().splitlines()) <= 60, file.name
 
 
 def test_accuracy_undoes_frame_and_time_shift(harness):
@@ -78,3 +82,57 @@ def test_results_keep_the_bars(harness):
     rivals = [row for row in rows if row["system"] != "heliograph"]
     assert ours["rpe_rotation_deg"] <= 1.1 * min(row["rpe_rotation_deg"] for row in rivals)
     assert ours["ate_m"] <= 1.1 * np.median([row["ate_m"] for row in rivals])
+
+
+@pytest.fixture
+def graph_harness(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    from benchmarks import graph, graph_scale, graph_table
+
+    return graph, graph_scale, graph_table
+
+
+@pytest.mark.parametrize("make", [manhattan, grid_walk])
+def test_graph_harness_scores_every_solution_alike(graph_harness, rng, tmp_path, make):
+    graph = graph_harness[0]
+    file = graph.prepare(make(80, rng).file, tmp_path / "world.g2o")
+    assert len(file.missing_ids) == 0
+    group = SE2 if file.dimension == 2 else SE3
+    solution = solve(file.graph(), file.values())
+    T = solution.values.block(group)[1].matrix
+    assert graph.chi2(file, T) == pytest.approx(solution.chi2, rel=1e-9)
+    assert graph.chi2(file, file.values().block(group)[1].matrix) == pytest.approx(solution.initial_chi2, rel=1e-9)
+
+
+def test_graph_harness_runs_our_program_in_a_process_of_its_own(graph_harness, rng, tmp_path):
+    graph = graph_harness[0]
+    write_g2o(tmp_path / "world.g2o", manhattan(60, rng).file)
+    programs = {"heliograph": Path(sys.executable)}
+    ours = graph.SOLVERS[:2]
+    rows = graph.compare({"world": tmp_path / "world.g2o"}, ours, tmp_path / "work", programs, runs=2)
+    assert [row["options"] for row in rows] == [["lm"], ["gn"]]
+    assert all(row["reached"] and row["runs"] == 2 and row["seconds"] > 0.0 for row in rows)
+    assert rows[0]["chi2"] == pytest.approx(rows[1]["chi2"], rel=1e-4)
+
+
+def test_graph_tables_say_where_the_bar_is_missed(graph_harness):
+    _, scale, tables = graph_harness
+    from benchmarks.table import _table
+
+    def row(system, seconds, chi2=10.0, *, reached=True, options=("lm",), graph="a", poses=100):
+        return {
+            "graph": graph, "poses": poses, "edges": 200, "system": system, "options": list(options), "runs": 7,
+            "failed": False, "version": "1", "seconds": seconds, "iterations": 3, "chi2": chi2, "reached": reached,
+            "peak_mb": 60.0 + poses / 10, "base_mb": 60.0,
+        }  # fmt: skip
+
+    rows = [row("heliograph", 1.0), row("gtsam", 3.0), row("ceres", 1.5, 99.0, reached=False)]
+    text = tables.graph_section(rows, _table)
+    assert "| gtsam 1 lm | 3000.00 | 0.33 |" in text and "Kept on every graph" in text
+    assert "| a | ceres 1 lm | 1500.00 | 3 | 99 | no |" in text
+    assert "Missed on a (0.67)" in tables.graph_section([*rows, row("g2o", 1.5)], _table)
+    sizes = (10_000, 100_000)
+    grown = [row("heliograph", n**1.2, graph=f"manhattan_{n}", poses=n) for n in sizes]
+    text = tables.scale_section(grown, _table)
+    assert "exponent 1.20" in text and "bare program with 1.00" in text
+    assert scale.exponent(sizes, [n**1.2 for n in sizes]) == pytest.approx(1.2)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from heliograph.lie import s2, se2, se3, so2, so3
+from heliograph.lie import s2, se2, se3, se23, so2, so3
 
 VECTOR, SO2, SO3, SE2, SE3, S2, NAV = range(7)
 CUSTOM, PRIOR, BETWEEN, RANGE, BEARING, LANDMARK, POSITION, LINEAR_MOTION = range(8)
@@ -15,51 +15,7 @@ SCALAR, DIAGONAL, FULL = range(3)
 NO_KERNEL, HUBER, CAUCHY, GEMAN_MCCLURE, TUKEY, DCS, TRUNCATED = range(7)
 DOF = {SO2: 1, SO3: 3, SE2: 3, SE3: 6, S2: 2, NAV: 9}
 
-
-class nav:  # noqa: N801 - stands beside the modules so3, se3, ...
-    """SE_2(3): attitude, position, velocity; tangent (theta, p, v)."""
-
-    @staticmethod
-    def hat(d):
-        out = np.zeros((5, 5))
-        out[:3, :3] = so3.hat(d[:3])
-        out[:3, 3], out[:3, 4] = d[3:6], d[6:]
-        return out
-
-    @staticmethod
-    def exp(d):
-        out = np.eye(5)
-        out[:3, :3] = so3.exp(d[:3])
-        out[:3, 3:] = so3.left_jacobian(d[:3]) @ np.stack([d[3:6], d[6:]], axis=1)
-        return out
-
-    @staticmethod
-    def log(X):
-        phi = so3.log(X[:3, :3])
-        return np.concatenate([phi, *(so3.left_jacobian_inverse(phi) @ X[:3, 3:]).T])
-
-    @staticmethod
-    def inverse(X):
-        return np.linalg.inv(X)
-
-    @staticmethod
-    def adjoint(X):
-        R, out = X[:3, :3], np.zeros((9, 9))
-        out[:3, :3] = out[3:6, 3:6] = out[6:, 6:] = R
-        out[3:6, :3], out[6:, :3] = so3.hat(X[:3, 3]) @ R, so3.hat(X[:3, 4]) @ R
-        return out
-
-    @staticmethod
-    def right_jacobian_inverse(d):
-        """Two SE(3) side by side: position and velocity answer to a turn alike and not to one another."""
-        out = np.zeros((9, 9))
-        out[:6, :6] = se3.right_jacobian_inverse(d[:6])
-        other = se3.right_jacobian_inverse(np.concatenate([d[:3], d[6:]]))
-        out[6:, :3], out[6:, 6:] = other[3:, :3], other[3:, 3:]
-        return out
-
-
-GROUPS = {SO2: so2, SO3: so3, SE2: se2, SE3: se3, NAV: nav}
+GROUPS = {SO2: so2, SO3: so3, SE2: se2, SE3: se3, NAV: se23}
 
 
 def pack(manifold, x):

@@ -7,6 +7,7 @@ from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.factors import Bearing, Between, Landmark, LinearMotion, Position, Prior, Range
 from heliograph.graph.families import Family, family_of, vectors
 from heliograph.graph.g2o import read_pose_graph, write_g2o, write_toro
+from heliograph.graph.gnc import RobustSettings, RobustSolution, solve_robust
 from heliograph.graph.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
 from heliograph.graph.marginals import Marginals
 from heliograph.graph.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
@@ -40,6 +41,8 @@ __all__ = [
     "Position",
     "Prior",
     "Range",
+    "RobustSettings",
+    "RobustSolution",
     "Solution",
     "SolverSettings",
     "SquareRoot",
@@ -54,6 +57,7 @@ __all__ = [
     "read_pose_graph",
     "save_graph",
     "solve",
+    "solve_robust",
     "to_dot",
     "vectors",
     "write_g2o",

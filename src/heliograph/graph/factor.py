@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import GraphError
-from heliograph.graph.differences import central_differences
+from heliograph.graph.differences import central_differences, keep_memory
 from heliograph.graph.families import FAMILIES, Family, family_named, stacked
 from heliograph.graph.kernels import Kernel
 from heliograph.graph.noise import Noise
@@ -73,7 +73,8 @@ class Factor(FactorRecord):
     -----
     An optional static ``jacobians`` takes the same arguments and returns one array (N, rows, dof) a variable, by right
     perturbation with the rotation first. Without it derivatives are central differences, with all perturbations of all
-    instances stacked into one call of ``residual``; so ``residual`` must treat every instance by itself.
+    instances stacked into one call of ``residual`` (of many, in several of 2^18 rows); so ``residual`` must treat every
+    instance by itself.
     """
 
     __slots__ = ("data",)
@@ -100,7 +101,8 @@ class Factor(FactorRecord):
             cls.families = tuple(family_named(variable) for variable in cls.variables)
         except GraphError as error:
             raise GraphError(f"class {name}: {error}") from None
-        if not isinstance(cls.rows, int) or isinstance(cls.rows, bool) or cls.rows < 1:
+        rows = getattr(cls, "rows", None)
+        if not isinstance(rows, int) or isinstance(rows, bool) or rows < 1:
             raise GraphError(f"class {name} needs `rows`: how many numbers its residual has, an int of at least 1")
         for method, needed in (("residual", True), ("jacobians", False)):
             found = inspect.getattr_static(cls, method, None)
@@ -180,15 +182,18 @@ class Factor(FactorRecord):
         GraphError
             What the class returns has another shape or is not finite.
         """
+        keep_memory()
         if not cls.has_jacobians:
-            return central_differences(
-                lambda *stacks: cls.residuals(
-                    stacks[: len(arrays)], stacks[len(arrays) :], name=name, count=len(arrays[0])
-                ),
-                cls.families,
-                arrays,
-                data,
-            )
+            variables = len(cls.families)
+            copies, done = 1 + 2 * sum(family.dof for family in cls.families), 0
+
+            def stacked_residual(*stacks: Array) -> Array:
+                nonlocal done
+                first, count = done, len(stacks[0]) // copies
+                done += count
+                return cls._residuals(stacks[:variables], stacks[variables:], lambda row: name(first + row % count))
+
+            return central_differences(stacked_residual, cls.families, arrays, data)
         residual = cls.residuals(arrays, data, name=name)
         found = cls.jacobians(*arrays, *data)
         if not isinstance(found, (tuple, list)) or len(found) != len(cls.families):
@@ -196,29 +201,31 @@ class Factor(FactorRecord):
             raise GraphError(f"{cls.__name__}.jacobians returns one array a variable, {len(cls.families)}, got {given}")
         count = len(arrays[0])
         checked = [
-            _checked(f"{cls.__name__}.jacobians, variable {k}", array, (count, cls.rows, family.dof), count, name)
+            _checked(f"{cls.__name__}.jacobians, variable {k}", array, (count, cls.rows, family.dof), name)
             for k, (array, family) in enumerate(zip(found, cls.families, strict=True))
         ]
         return residual, checked
 
     @classmethod
-    def residuals(
-        cls, arrays: Sequence[Array], data: Sequence[Array], *, name: Namer = _instance, count: int | None = None
-    ) -> Array:
+    def residuals(cls, arrays: Sequence[Array], data: Sequence[Array], *, name: Namer = _instance) -> Array:
         """Return the residuals (N, rows) alone; parameters and errors as in `evaluate`."""
-        total = len(arrays[0])
+        keep_memory()
+        return cls._residuals(arrays, data, name)
+
+    @classmethod
+    def _residuals(cls, arrays: Sequence[Array], data: Sequence[Array], name: Namer) -> Array:
         found = cls.residual(*arrays, *data)
-        return _checked(f"{cls.__name__}.residual", found, (total, cls.rows), total if count is None else count, name)
+        return _checked(f"{cls.__name__}.residual", found, (len(arrays[0]), cls.rows), name)
 
 
-def _checked(what: str, found: object, shape: tuple[int, ...], count: int, name: Namer) -> Array:
-    """Return the array if its shape is right and all is finite. `count` instances repeat in it when it is stacked."""
+def _checked(what: str, found: object, shape: tuple[int, ...], name: Namer) -> Array:
+    """Return the array if its shape is right and all is finite."""
     array = np.asarray(found, dtype=np.float64)
     if array.shape != shape:
         raise GraphError(f"{what} must return shape {shape} for {shape[0]} instances, got {array.shape}")
     if not np.isfinite(array).all():
         bad = ~np.isfinite(array.reshape(len(array), -1)).all(axis=1)
-        raise GraphError(f"{what} is not finite for {name(int(np.argmax(bad)) % count)}")
+        raise GraphError(f"{what} is not finite for {name(int(np.argmax(bad)))}")
     return array
 
 

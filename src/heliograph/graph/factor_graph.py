@@ -81,6 +81,14 @@ class FactorGraph:
         self._count += len(record)
         return range(added.first, self._count)
 
+    def adopt(self, added: Added) -> range:
+        """Add what a graph has checked already, and return the numbers of the factors here."""
+        first = self._count
+        self._added.append(Added(first=first, record=added.record, whitening=added.whitening))
+        self._firsts.append(first)
+        self._count += len(added.record)
+        return range(first, self._count)
+
     def fix(self, keys: ArrayLike) -> None:
         """Hold variables at their values: they are not estimated.
 

@@ -21,10 +21,9 @@ __all__ = ["Bearing", "Between", "Landmark", "LinearMotion", "Position", "Prior"
 
 Array = NDArray[np.float64]
 
-_PLACED = {
-    2: (FAMILIES[SE2], vectors(2)),
-    3: (FAMILIES[SE3], vectors(3), FAMILIES[ExtendedPose]),
-}
+# What has a frame to look from, and what has a place to be seen at, by the dimension of the space.
+_POSES = {2: (FAMILIES[SE2],), 3: (FAMILIES[SE3], FAMILIES[ExtendedPose])}
+_PLACED = {2: (vectors(2), *_POSES[2]), 3: (vectors(3), *_POSES[3])}
 
 
 class Prior(NativeRecord):
@@ -167,7 +166,7 @@ class Bearing(NativeRecord):
     j : int or (N,) int
         Keys of the points or poses that are seen.
     direction : SO2 or S2
-        Measured in the frame of i: an SO2 for poses SE2, an S2 for poses SE3.
+        Measured in the frame of i: an SO2 for poses SE2, an S2 for poses SE3 and ExtendedPose.
     noise : Noise
         Of one row [rad] in the plane, of two in space (the tangent basis of `heliograph.lie.s2` at the measurement).
     kernel : Kernel, optional
@@ -191,7 +190,7 @@ class Bearing(NativeRecord):
                 f"Bearing: a direction is an SO2 (poses SE2) or an S2 (poses SE3), not a {type(direction).__name__}"
             )
         measurement, family = as_measurement("Bearing", direction, len(keys))
-        pose, point = (SE2, 2) if family.lie is SO2 else (SE3, 3)
+        space = 2 if family.lie is SO2 else 3
         self._fill(
             keys=keys,
             measurement=measurement,
@@ -199,7 +198,7 @@ class Bearing(NativeRecord):
             rows=family.dof,
             noise=noise,
             kernel=kernel,
-            allowed=((FAMILIES[pose],), (vectors(point), FAMILIES[pose])),
+            allowed=(_POSES[space], _PLACED[space]),
         )
 
 
@@ -209,9 +208,9 @@ class Landmark(NativeRecord):
     Parameters
     ----------
     i : int or (N,) int
-        Keys of the poses, SE2 or SE3.
+        Keys of the poses: SE2, or SE3 and ExtendedPose.
     j : int or (N,) int
-        Keys of the points, vectors of dimension 2 or 3.
+        Keys of the points: vectors of dimension 2 or 3, or poses, whose position is meant.
     p_i : (d,) or (N, d) float64
         Measured in the frame of i [m].
     noise : Noise
@@ -240,7 +239,7 @@ class Landmark(NativeRecord):
             rows=dimension,
             noise=noise,
             kernel=kernel,
-            allowed=((FAMILIES[SE2 if dimension == 2 else SE3],), (vectors(dimension),)),
+            allowed=(_POSES[dimension], _PLACED[dimension]),
         )
 
 
@@ -337,7 +336,8 @@ class LinearMotion(NativeRecord):
             ) from None
         self._fill(
             keys=keys,
-            measurement=np.concatenate([flat_F, flat_u], axis=1),
+            # What is broadcast joins column by column; the native side reads rows.
+            measurement=np.ascontiguousarray(np.concatenate([flat_F, flat_u], axis=1)),
             measured=None,
             rows=after,
             noise=noise,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import GraphError
+from heliograph.graph.constraints import stiffen
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.problem import Problem
 from heliograph.graph.records import as_keys, key_list
@@ -54,6 +55,7 @@ class Marginals:
         self._held = np.zeros(len(values), dtype=bool)
         self._held[self._problem.held] = True
         self._problem.analyze()
+        stiffen(self._problem)
         self._problem.check_finite(self._problem.linearize())
         self._problem.require_determined()
 

@@ -30,8 +30,8 @@ Namer = Callable[[int], str]
 
 SCALAR, DIAGONAL, FULL = 0, 1, 2  # the forms of S, as the native side numbers them
 
-# Of the matrix scaled to a unit diagonal: six printed digits leave errors of this size.
-_ROUNDING = 1e-6
+# Of the matrix scaled to a unit diagonal: six printed digits leave up to 5e-6 in every number.
+_ROUNDING = 3e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from heliograph.graph.noise import Whitening
 from heliograph.graph.records import key_list
 from heliograph.graph.values import Values
 
-__all__ = ["ResolvedGroup", "resolve", "resolve_fixed"]
+__all__ = ["ResolvedGroup", "gather", "resolve", "resolve_fixed"]
 
 Array = NDArray[np.float64]
 Number = TypeVar("Number", np.float64, np.int64)
@@ -112,6 +112,26 @@ def resolve_fixed(graph: FactorGraph, values: Values) -> NDArray[np.int64]:
     if (dense < 0).any():
         raise GraphError(f"{key_list(graph.fixed[dense < 0])}: held by `fix`, but without a value")
     return np.sort(dense)
+
+
+def gather(group: ResolvedGroup, families: Sequence[Family], packed: Sequence[Array]) -> list[Array]:
+    """Return the variables of a group's factors as a user's own residual takes them, one array (N, *shape) a variable.
+
+    Parameters
+    ----------
+    group : ResolvedGroup
+        Whose variables.
+    families : sequence of Family
+        Of the values, in their order.
+    packed : sequence of (M, storage) float64
+        Values of each family.
+    """
+    firsts = np.cumsum([0, *[len(block) for block in packed]])
+    arrays = []
+    for family, dense in zip(group.families, group.variables.T, strict=True):
+        number = families.index(family)
+        arrays.append(family.elements(packed[number][dense - firsts[number]]))
+    return arrays
 
 
 def _kind(added: Added) -> Hashable:

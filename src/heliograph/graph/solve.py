@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 from heliograph.errors import ConfigError, GraphError, closest
+from heliograph.graph.constraints import minimize_constrained
 from heliograph.graph.dogleg import dogleg
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.gauss_newton import gauss_newton
@@ -15,6 +16,7 @@ from heliograph.graph.outcome import Iteration, Minimum, Observer
 from heliograph.graph.problem import Cost, Problem
 from heliograph.graph.settings import SolverSettings
 from heliograph.graph.solution import Solution
+from heliograph.graph.start import choose_start, second_start
 from heliograph.graph.values import Values
 
 __all__ = ["METHODS", "solve"]
@@ -45,7 +47,8 @@ def solve(
     method : str
         ``lm`` (Levenberg-Marquardt), ``gn`` (Gauss-Newton) or ``dogleg``.
     initial : str
-        ``auto``: where the given start is poor and a chordal one is better, that is taken; ``given``; ``chordal``.
+        ``given``; ``chordal``; ``auto``: the given one, unless it has many rotations far off or ends badly, and the
+        chordal one costs less.
     settings : SolverSettings, optional
         When to stop, ordering.
     threads : int
@@ -74,23 +77,45 @@ def solve(
     first = problem.linearize()
     problem.check_finite(first)
     clock.lap("iterate")
-    found = METHODS[method](problem, settings, first, observer or _ignore)
+    start = choose_start(problem, values, initial, first)
+    clock.lap("start")
+    minimize, observe = METHODS[method], observer or _ignore
+    constrained = any(group.constrained for group in problem.groups)
+    if constrained:
+        minimize = _with_constraints(minimize)
+    found = minimize(problem, settings, start.cost, observe)
     clock.lap("iterate")
+    steps = found.iterations
+    doubt = initial == "auto" and start.cost is first and not constrained
+    again = second_start(problem, values, found) if doubt else None
+    clock.lap("start")
+    if again is not None:
+        start = again
+        found = minimize(problem, settings, start.cost, observe)
+        steps += found.iterations
+        clock.lap("iterate")
     return Solution(
         values=problem.values(),
         status=found.status,
-        iterations=len(found.iterations),
+        iterations=len(steps),
         initial_chi2=first.chi2,
         chi2=found.chi2,
         initial_cost=first.cost,
         cost=found.cost,
         rows=problem.rows,
         degrees_of_freedom=problem.rows - problem.free_scalars,
-        start="given",
-        steps=found.iterations,
+        start=start.text,
+        steps=steps,
         seconds=clock.seconds(),
         plan=problem.native.plan(),
     )
+
+
+def _with_constraints(minimize: Minimizer) -> Minimizer:
+    def held(problem: Problem, settings: SolverSettings, _: Cost, observe: Observer) -> Minimum:
+        return minimize_constrained(minimize, problem, settings, observe)
+
+    return held
 
 
 def _ignore(_: Iteration) -> None:

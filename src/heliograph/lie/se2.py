@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from heliograph.lie import _series, so2
+from heliograph import _core
+from heliograph.lie import _batch, _series, so2
 
 __all__ = [
     "act",
@@ -67,6 +68,8 @@ def _scaled_rotation(cosine: Array, sine: Array) -> Array:
 def exp(xi: ArrayLike) -> Array:
     """Return the motion of a constant twist over unit time, (..., 3, 3) from (..., 3) ([1]_ eq. 156)."""
     v = np.asarray(xi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.se2_exp, v, 1, (3, 3))
     theta = v[..., 0]
     theta2 = np.asarray(theta * theta)
     V = _scaled_rotation(_series.sinc(theta2), theta * _series.versine(theta2))
@@ -76,6 +79,8 @@ def exp(xi: ArrayLike) -> Array:
 def log(T: ArrayLike) -> Array:
     """Return the tangent vector with an angle in [-pi, pi], (..., 3) from (..., 3, 3) ([1]_ eq. 157)."""
     m = np.asarray(T, dtype=np.float64)
+    if m.ndim > 2:
+        return _batch.each(_core.se2_log, m, 2, (3,))
     theta = so2.log(m[..., :2, :2])[..., 0]
     rho = np.swapaxes(_inverse_arc(theta), -1, -2) @ m[..., :2, 2:]
     return np.concatenate([theta[..., None], rho[..., 0]], axis=-1)
@@ -89,12 +94,17 @@ def _inverse_arc(theta: Array) -> Array:
 
 def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> Array:
     """Return ``T_a_c = T_a_b @ T_b_c``."""
-    return np.asarray(T_a_b, dtype=np.float64) @ np.asarray(T_b_c, dtype=np.float64)
+    a, b = np.asarray(T_a_b, dtype=np.float64), np.asarray(T_b_c, dtype=np.float64)
+    if a.ndim > 2 and a.shape == b.shape:
+        return _batch.each_pair(_core.se2_compose, a, b)
+    return np.asarray(a @ b)
 
 
 def inverse(T: ArrayLike) -> Array:
     """Return ``T_b_a`` from ``T_a_b``, (..., 3, 3)."""
     m = np.asarray(T, dtype=np.float64)
+    if m.ndim > 2:
+        return _batch.each(_core.se2_inverse, m, 2, (3, 3))
     R_b_a = np.swapaxes(m[..., :2, :2], -1, -2)
     return from_rotation_translation(R_b_a, -(R_b_a @ m[..., :2, 2:])[..., 0])
 
@@ -119,6 +129,8 @@ def _assemble(coupling: Array, block: Array) -> Array:
 def adjoint(T: ArrayLike) -> Array:
     """Return Ad with ``T exp(d) = exp(Ad d) T``, (..., 3, 3), rotation first ([1]_ eq. 159)."""
     m = np.asarray(T, dtype=np.float64)
+    if m.ndim > 2:
+        return _batch.each(_core.se2_adjoint, m, 2, (3, 3))
     return _assemble(np.stack([m[..., 1, 2], -m[..., 0, 2]], axis=-1), m[..., :2, :2])
 
 
@@ -134,22 +146,28 @@ def _right_parts(xi: ArrayLike) -> tuple[Array, Array, Array]:
 
 def right_jacobian(xi: ArrayLike) -> Array:
     """Return Jr with ``exp(xi + d) = exp(xi) exp(Jr d)`` to first order, (..., 3, 3) ([1]_ eq. 163)."""
-    _, coupling, block = _right_parts(xi)
+    v = np.asarray(xi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.se2_right_jacobian, v, 1, (3, 3))
+    _, coupling, block = _right_parts(v)
     return _assemble(coupling, block)
 
 
 def right_jacobian_inverse(xi: ArrayLike) -> Array:
     """Return the inverse of `right_jacobian`, (..., 3, 3); singular at a full turn."""
-    theta, coupling, _ = _right_parts(xi)
+    v = np.asarray(xi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.se2_right_jacobian_inverse, v, 1, (3, 3))
+    theta, coupling, _ = _right_parts(v)
     block = _inverse_arc(theta)
     return _assemble(-(block @ coupling[..., None])[..., 0], block)
 
 
 def retract(T: ArrayLike, d: ArrayLike) -> Array:
     """Return ``T @ exp(d)``."""
-    return np.asarray(T, dtype=np.float64) @ exp(d)
+    return compose(T, exp(d))
 
 
 def local(T_a: ArrayLike, T_b: ArrayLike) -> Array:
     """Return the d with ``retract(T_a, d) = T_b``, (..., 3)."""
-    return log(inverse(T_a) @ np.asarray(T_b, dtype=np.float64))
+    return log(compose(inverse(T_a), T_b))

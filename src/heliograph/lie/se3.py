@@ -15,7 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from heliograph.lie import _series, so3
+from heliograph import _core
+from heliograph.lie import _batch, _series, so3
 
 __all__ = [
     "act",
@@ -64,6 +65,8 @@ def hat(xi: ArrayLike) -> Array:
 def exp(xi: ArrayLike) -> Array:
     """Return the motion of a constant twist over unit time, (..., 4, 4) from (..., 6) ([2]_ eq. 172)."""
     v = np.asarray(xi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.se3_exp, v, 1, (4, 4))
     phi, rho = v[..., :3], v[..., 3:]
     t = (so3.left_jacobian(phi) @ rho[..., None])[..., 0]
     return from_rotation_translation(so3.exp(phi), t)
@@ -72,6 +75,8 @@ def exp(xi: ArrayLike) -> Array:
 def log(T: ArrayLike) -> Array:
     """Return the tangent vector with a rotation of length in [0, pi], (..., 6) from (..., 4, 4) ([2]_ eq. 173)."""
     m = np.asarray(T, dtype=np.float64)
+    if m.ndim > 2:
+        return _batch.each(_core.se3_log, m, 2, (6,))
     phi = so3.log(m[..., :3, :3])
     rho = so3.left_jacobian_inverse(phi) @ m[..., :3, 3:]
     return np.concatenate([phi, rho[..., 0]], axis=-1)
@@ -79,12 +84,17 @@ def log(T: ArrayLike) -> Array:
 
 def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> Array:
     """Return ``T_a_c = T_a_b @ T_b_c``."""
-    return np.asarray(np.asarray(T_a_b, dtype=np.float64) @ np.asarray(T_b_c, dtype=np.float64))
+    a, b = np.asarray(T_a_b, dtype=np.float64), np.asarray(T_b_c, dtype=np.float64)
+    if a.ndim > 2 and a.shape == b.shape:
+        return _batch.each_pair(_core.se3_compose, a, b)
+    return np.asarray(a @ b)
 
 
 def inverse(T: ArrayLike) -> Array:
     """Return ``T_b_a`` from ``T_a_b``, (..., 4, 4)."""
     m = np.asarray(T, dtype=np.float64)
+    if m.ndim > 2:
+        return _batch.each(_core.se3_inverse, m, 2, (4, 4))
     R_b_a = np.swapaxes(m[..., :3, :3], -1, -2)
     return from_rotation_translation(R_b_a, -(R_b_a @ m[..., :3, 3:])[..., 0])
 
@@ -113,6 +123,8 @@ def _block_lower(rotation: Array, coupling: Array) -> Array:
 def adjoint(T: ArrayLike) -> Array:
     """Return Ad with ``T exp(d) = exp(Ad d) T``, (..., 6, 6), rotation first ([2]_ eq. 175)."""
     m = np.asarray(T, dtype=np.float64)
+    if m.ndim > 2:
+        return _batch.each(_core.se3_adjoint, m, 2, (6, 6))
     R = m[..., :3, :3]
     return _block_lower(R, so3.hat(m[..., :3, 3]) @ R)
 
@@ -135,6 +147,8 @@ def _coupling(phi: Array, rho: Array) -> Array:
 def right_jacobian(xi: ArrayLike) -> Array:
     """Return Jr with ``exp(xi + d) = exp(xi) exp(Jr d)`` to first order, (..., 6, 6)."""
     v = np.asarray(xi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.se3_right_jacobian, v, 1, (6, 6))
     phi, rho = v[..., :3], v[..., 3:]
     return _block_lower(so3.right_jacobian(phi), _coupling(-phi, -rho))
 
@@ -142,6 +156,8 @@ def right_jacobian(xi: ArrayLike) -> Array:
 def right_jacobian_inverse(xi: ArrayLike) -> Array:
     """Return the inverse of `right_jacobian`, (..., 6, 6); singular at a full turn."""
     v = np.asarray(xi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.se3_right_jacobian_inverse, v, 1, (6, 6))
     phi, rho = v[..., :3], v[..., 3:]
     inverse_rotation = so3.right_jacobian_inverse(phi)
     return _block_lower(inverse_rotation, -inverse_rotation @ _coupling(-phi, -rho) @ inverse_rotation)
@@ -149,9 +165,9 @@ def right_jacobian_inverse(xi: ArrayLike) -> Array:
 
 def retract(T: ArrayLike, d: ArrayLike) -> Array:
     """Return ``T @ exp(d)``."""
-    return np.asarray(T, dtype=np.float64) @ exp(d)
+    return compose(T, exp(d))
 
 
 def local(T_a: ArrayLike, T_b: ArrayLike) -> Array:
     """Return the d with ``retract(T_a, d) = T_b``, that is ``log(inverse(T_a) @ T_b)``, (..., 6)."""
-    return log(inverse(T_a) @ np.asarray(T_b, dtype=np.float64))
+    return log(compose(inverse(T_a), T_b))

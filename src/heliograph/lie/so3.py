@@ -16,8 +16,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph import _core
 from heliograph.errors import DataError
-from heliograph.lie import _series
+from heliograph.lie import _batch, _series
 
 __all__ = [
     "adjoint",
@@ -94,7 +95,10 @@ def _quadratic(x: Scalar, y: Scalar, z: Scalar, p: Scalar, q: Scalar) -> Array:
 
 def exp(phi: ArrayLike) -> Array:
     """Return the rotation about ``phi`` by its length [rad], (..., 3, 3) from (..., 3) (Rodrigues; [1]_ eq. 134)."""
-    x, y, z, theta2 = _components(phi)
+    v = np.asarray(phi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.so3_exp, v, 1, (3, 3))
+    x, y, z, theta2 = _components(v)
     return _quadratic(x, y, z, _series.sinc(theta2), _series.versine(theta2))
 
 
@@ -104,7 +108,10 @@ def log(R: ArrayLike) -> Array:
     Accurate at every angle, pi included, where the sign of the axis is arbitrary but deterministic. A slightly
     non-orthonormal matrix gives the vector of a rotation near it.
     """
-    q = to_quaternion(R)
+    r = np.asarray(R, dtype=np.float64)
+    if r.ndim > 2:
+        return _batch.each(_core.so3_log, r, 2, (3,))
+    q = to_quaternion(r)
     v, w = q[..., :3], q[..., 3]
     n = np.sqrt(np.einsum("...i,...i->...", v, v))
     # atan2 keeps full relative accuracy at both ends; 2 / w is its limit for a vanishing vector part.
@@ -114,25 +121,37 @@ def log(R: ArrayLike) -> Array:
 
 def left_jacobian(phi: ArrayLike) -> Array:
     """Return Jl with ``exp(phi + d) = exp(Jl d) exp(phi)`` to first order, (..., 3, 3) ([1]_ eq. 145)."""
-    x, y, z, theta2 = _components(phi)
+    v = np.asarray(phi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.so3_left_jacobian, v, 1, (3, 3))
+    x, y, z, theta2 = _components(v)
     return _quadratic(x, y, z, _series.versine(theta2), _series.cubic_defect(theta2))
 
 
 def right_jacobian(phi: ArrayLike) -> Array:
     """Return Jr with ``exp(phi + d) = exp(phi) exp(Jr d)`` to first order, (..., 3, 3) ([1]_ eq. 143)."""
-    x, y, z, theta2 = _components(phi)
+    v = np.asarray(phi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.so3_right_jacobian, v, 1, (3, 3))
+    x, y, z, theta2 = _components(v)
     return _quadratic(x, y, z, -_series.versine(theta2), _series.cubic_defect(theta2))
 
 
 def left_jacobian_inverse(phi: ArrayLike) -> Array:
     """Return the inverse of `left_jacobian`; singular at a full turn ([1]_ eq. 146)."""
-    x, y, z, theta2 = _components(phi)
+    v = np.asarray(phi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.so3_left_jacobian_inverse, v, 1, (3, 3))
+    x, y, z, theta2 = _components(v)
     return _quadratic(x, y, z, -0.5, _series.half_cotangent_defect(theta2))
 
 
 def right_jacobian_inverse(phi: ArrayLike) -> Array:
     """Return the inverse of `right_jacobian`; singular at a full turn ([1]_ eq. 144)."""
-    x, y, z, theta2 = _components(phi)
+    v = np.asarray(phi, dtype=np.float64)
+    if v.ndim > 1:
+        return _batch.each(_core.so3_right_jacobian_inverse, v, 1, (3, 3))
+    x, y, z, theta2 = _components(v)
     return _quadratic(x, y, z, 0.5, _series.half_cotangent_defect(theta2))
 
 

@@ -58,7 +58,7 @@ def linearized(graph, values, ordering="auto", threads=1):
 
 
 def complete_graph(count, family, rng, held=0, skip=0.0):
-    """Every variable is joined with every other one: one dense front; with `skip` a share of the factors is left out."""
+    """Every variable is joined with every other one: one dense front; `skip` is the share of factors left out."""
     graph, values = FactorGraph(), Values()
     values.insert(np.arange(count), random_value(family, count, rng))
     i, j = np.triu_indices(count, 1)
@@ -126,8 +126,8 @@ def test_covariances_are_the_dense_inverse(case):
     np.testing.assert_allclose(marginals.joint(asked), inverse[np.ix_(joined, joined)], atol=1e-9 * scale, rtol=0)
 
 
-# Scalars of one dense front on both sides of every size at which the products change their course: granules of 4, packing
-# from 48 deep and 96 tall, panels of 96, packed depths of 192, tall panels of 144 rows and 480 columns.
+# Scalars of one dense front on both sides of every size at which the products change their course: granules of 4,
+# packing from 48 deep and 96 tall, panels of 96, packed depths of 192, tall panels of 144 rows and 480 columns.
 EDGES = (
     1,
     2,
@@ -263,8 +263,9 @@ SCRIPT = """
 import sys
 import numpy as np
 from unit.graph.test_multifrontal import complete_graph, linearized, sparse_world
-for make in (lambda rng: sparse_world(rng, 300), lambda rng: complete_graph(150, 2, rng), lambda rng: complete_graph(49, 1, rng)):
-    problem, cost = linearized(*make(np.random.default_rng(3)))
+rng = np.random.default_rng(3)
+for world in (sparse_world(rng, 300), complete_graph(150, 2, rng), complete_graph(49, 1, rng)):
+    problem, cost = linearized(*world)
     assert problem.factorize(1e-3, 1e-12) is None
     predicted = problem.linear_step(1e-3, 1e-12)
     np.save(sys.stdout.buffer, np.concatenate([[*cost, predicted], problem.native.step()]))

@@ -123,11 +123,11 @@ def test_minimum_degree_keeps_the_newest_poses_last_at_little_cost(rng):
     assert pattern.fill(order).nonzeros < 1.3 * pattern.fill(minimum_degree(pattern)).nonzeros
 
 
-@pytest.mark.parametrize("shape", [(30, 30, 30)])
+@pytest.mark.parametrize("shape", [(100, 100), (20, 20, 20)])
 def test_nested_dissection_beats_minimum_degree_on_large_grids(shape):
     pattern = grid(*shape)
 
-    assert pattern.fill(nested_dissection(pattern)).flops < pattern.fill(minimum_degree(pattern)).flops
+    assert pattern.fill(nested_dissection(pattern)).flops < 0.85 * pattern.fill(minimum_degree(pattern)).flops
 
 
 def test_nested_dissection_of_a_chain_with_few_loops_fills_as_minimum_degree(rng):
