@@ -252,7 +252,7 @@ def _loops(cells: Ints, side: int, per_pose: float, rng: np.random.Generator) ->
     visits = np.sort(place * n + np.arange(n))
     wanted = (cells + offset + 1) @ weights
     found = visits[np.searchsorted(visits, wanted * n + np.arange(n) - _RECENT) - 1]
-    later = np.flatnonzero((found // n == wanted) & (found % n + _RECENT < np.arange(n)))
+    later = np.flatnonzero(found // n == wanted)
     count = min(round(per_pose * n), len(later))
     later = np.sort(rng.choice(later, size=count, replace=False))
     return found[later] % n, later
