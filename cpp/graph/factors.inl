@@ -49,10 +49,40 @@ struct Evaluate {
   }
 };
 
+template <template <class> class Residual, class Action>
+static bool visit_one_vector(const Action& action) {
+  switch (action.view.dof[0]) {
+    case 1: return action.template with<Residual<Fixed<1, 1>>>();
+    case 2: return action.template with<Residual<Fixed<2, 2>>>();
+    case 3: return action.template with<Residual<Fixed<3, 3>>>();
+    default: return action.template with<Residual<Dynamic>>();
+  }
+}
+
+template <template <class> class Residual, class Action>
+static bool visit_two_vectors(const Action& action) {
+  switch (action.view.dof[0] == action.view.dof[1] ? action.view.dof[0] : 0) {
+    case 1: return action.template with<Residual<Fixed<1, 1, 1>>>();
+    case 2: return action.template with<Residual<Fixed<2, 2, 2>>>();
+    case 3: return action.template with<Residual<Fixed<3, 3, 3>>>();
+    case 4: return action.template with<Residual<Fixed<4, 4, 4>>>();
+    case 6: return action.template with<Residual<Fixed<6, 6, 6>>>();
+    default: return action.template with<Residual<Dynamic>>();
+  }
+}
+
+// What users write most: a residual between two variables of its own dimension.
+template <class Action>
+static bool visit_custom(const Action& action) {
+  const FactorView& v = action.view;
+  const bool square = v.arity == 2 && v.rows == v.dof[0] && v.rows == v.dof[1];
+  return square ? visit_two_vectors<Custom>(action) : action.template with<Custom<Dynamic>>();
+}
+
 template <class Action>
 static bool visit_prior(const Action& action) {
   switch (action.view.manifold[0]) {
-    case Manifold::vector: return action.template with<PriorVector>();
+    case Manifold::vector: return visit_one_vector<PriorVector>(action);
     case Manifold::so2: return action.template with<PriorSo2>();
     case Manifold::so3: return action.template with<PriorMotion<0>>();
     case Manifold::se2: return action.template with<PriorSe2>();
@@ -66,7 +96,7 @@ static bool visit_prior(const Action& action) {
 template <class Action>
 static bool visit_between(const Action& action) {
   switch (action.view.manifold[0]) {
-    case Manifold::vector: return action.template with<BetweenVector>();
+    case Manifold::vector: return visit_two_vectors<BetweenVector>(action);
     case Manifold::so2: return action.template with<BetweenSo2>();
     case Manifold::so3: return action.template with<BetweenMotion<0>>();
     case Manifold::se2: return action.template with<BetweenSe2>();
@@ -111,7 +141,7 @@ static bool visit_range(const Action& action) {
 template <class Action>
 static bool visit_position(const Action& action) {
   switch (action.view.manifold[0]) {
-    case Manifold::vector: return action.template with<PriorVector>();
+    case Manifold::vector: return visit_one_vector<PriorVector>(action);
     case Manifold::se2: return action.template with<Position<PoseSe2>>();
     case Manifold::se3: return action.template with<Position<PoseSe3>>();
     case Manifold::nav: return action.template with<Position<PoseNav>>();
@@ -122,14 +152,14 @@ static bool visit_position(const Action& action) {
 template <class Action>
 static bool visit(const Action& action) {
   switch (action.view.type) {
-    case FactorType::custom: return action.template with<Custom>();
+    case FactorType::custom: return visit_custom(action);
     case FactorType::prior: return visit_prior(action);
     case FactorType::between: return visit_between(action);
     case FactorType::range: return visit_range(action);
     case FactorType::bearing: return visit_from_pose<Bearing>(action);
     case FactorType::landmark: return visit_from_pose<Landmark>(action);
     case FactorType::position: return visit_position(action);
-    case FactorType::linear_motion: return action.template with<LinearMotionVector>();
+    case FactorType::linear_motion: return visit_two_vectors<LinearMotionVector>(action);
   }
   return false;
 }

@@ -261,10 +261,10 @@ inline void add_block(double* to, int64_t ld, const double* from, bool row_major
   }
 }
 
-void add_blocks(double* f, int64_t ld, const BlockView* parts, int64_t count, const double* blocks) {
+void add_blocks(double* f, int64_t ld, const BlockView* parts, int64_t count) {
   for (int64_t i = 0; i < count; ++i) {
     const BlockView& part = parts[i];
-    const double* from = blocks + part.source;
+    const double* from = part.source;
     double* to = f + static_cast<int64_t>(part.column) * ld + part.row;
     const bool row_major = part.transposed != 0;
     if (part.rows == 3 && part.columns == 3) {
@@ -279,17 +279,16 @@ void add_blocks(double* f, int64_t ld, const BlockView* parts, int64_t count, co
   }
 }
 
-// Assembles and eliminates front f. Returns the failing pivot's scalar position in the front, or -1.
-int eliminate(const PlanView& plan, int32_t index, const Assembly& in, double* factor, double* const* updates, double* scratch) {
+// Assembles and eliminates a front in f, its pivot columns. Returns the failing pivot's scalar position in the front, or -1.
+int eliminate(const PlanView& plan, int32_t index, const Assembly& in, double* f, double* const* updates, double* scratch) {
   const FrontView& front = plan.fronts[index];
-  double* f = factor + front.factor;
   const int64_t ld = front.height;
   const int gradient = front.pivots + front.rows;
   std::memset(f, 0, sizeof(double) * static_cast<size_t>(ld) * static_cast<size_t>(front.pivots));
-  add_blocks(f, ld, plan.blocks + front.block_begin, front.block_end - front.block_begin, in.blocks);
+  add_blocks(f, ld, plan.blocks + front.block_begin, front.block_end - front.block_begin);
   for (int64_t i = front.gradient_begin; i < front.gradient_end; ++i) {
     const GradientView& part = plan.gradients[i];
-    for (int c = 0; c < part.count; ++c) f[(part.column + c) * ld + gradient] += in.blocks[part.source + c];
+    for (int c = 0; c < part.count; ++c) f[(part.column + c) * ld + gradient] += part.source[c];
   }
   for (int c = 0; c < front.pivots; ++c) {
     const double diagonal = f[c * ld + c];
@@ -313,29 +312,20 @@ int eliminate(const PlanView& plan, int32_t index, const Assembly& in, double* f
   return -1;
 }
 
-// x of the pivots from y and x of the remaining rows: L11' x = -(y + L21' x_rows). `x` is in elimination order.
-void back_substitute(const PlanView& plan, int32_t index, const double* factor, const double* y, double* x, double* rows) {
-  const FrontView& front = plan.fronts[index];
-  const double* f = factor + front.factor;
+// x of the pivots from y and x of the remaining rows: L11' x = -(y + L21' rows). y is the carried gradient unless given.
+void back_substitute(const FrontView& front, const double* f, const double* y, const double* rows, double* x) {
   const int64_t ld = front.height;
   const int K = front.pivots, M = front.rows;
-  int n = 0;
-  for (int32_t i = front.node_begin + front.node_pivots; i < front.node_end; ++i) {
-    const int32_t node = plan.nodes[i];
-    const double* from = x + plan.scalar_of[node];
-    for (int32_t c = 0; c < plan.weight[node]; ++c) rows[n++] = from[c];
-  }
-  double* out = x + front.first_pivot;
   for (int c = K - 1; c >= 0; --c) {
     const double* column = f + c * ld;
-    double sum = y != nullptr ? y[front.first_pivot + c] : column[K + M];
+    double sum = y != nullptr ? y[c] : column[K + M];
     Lane parts = Lane{};
     int r = 0;
     for (; r + kLanes <= M; r += kLanes) parts += load(column + K + r) * load(rows + r);
     for (int v = 0; v < kLanes; ++v) sum += parts[v];
     for (; r < M; ++r) sum += column[K + r] * rows[r];
-    for (int p = c + 1; p < K; ++p) sum += column[p] * out[p];
-    out[c] = -sum / column[c];
+    for (int p = c + 1; p < K; ++p) sum += column[p] * x[p];
+    x[c] = -sum / column[c];
   }
 }
 

@@ -7,16 +7,16 @@ namespace heliograph {
 
 // A dense block of a factor's linearisation and its place in a front (column-major, lower triangle).
 struct BlockView {
-  int64_t source = 0;      // offset into the block array; row-major there
-  int32_t row = 0;         // scalar place in the front
+  const double* source = nullptr;  // row-major
+  int32_t row = 0;                 // scalar place in the front
   int32_t column = 0;
-  int16_t rows = 0;        // of the block in the front
+  int16_t rows = 0;                // of the block in the front
   int16_t columns = 0;
-  int32_t transposed = 0;  // the source is (rows, columns) when 1, (columns, rows) when 0
+  int32_t transposed = 0;          // the source is (rows, columns) when 1, (columns, rows) when 0
 };
 
 struct GradientView {
-  int64_t source = 0;
+  const double* source = nullptr;
   int32_t column = 0;
   int32_t count = 0;
 };
@@ -64,7 +64,6 @@ struct PlanView {
 };
 
 struct Assembly {
-  const double* blocks;   // linearised factors
   double damping;         // of the diagonal, relative (Marquardt)
   double damping_floor;   // least diagonal that the damping takes
   double* diagonal;       // out: the undamped diagonal, in elimination order
@@ -78,7 +77,7 @@ inline constexpr int64_t kScratch = int64_t{kPackDepthMax} * (kPackRowsMax + kPa
 
 struct FrontKernels {
   int (*eliminate)(const PlanView&, int32_t, const Assembly&, double*, double* const*, double*);
-  void (*back_substitute)(const PlanView&, int32_t, const double*, const double*, double*, double*);
+  void (*back_substitute)(const FrontView&, const double*, const double*, const double*, double*);
   void (*forward_substitute)(const PlanView&, int32_t, const double*, double*);
 };
 

@@ -116,7 +116,8 @@ void fill_noise(const GroupInput& input, FactorGroup* group) {
 FactorGroup make_group(const GroupInput& input, std::span<const FamilyBlock> families) {
   require(input.arity >= 1 && input.arity <= kMaxArity, "a factor has 1 to " + std::to_string(kMaxArity) + " variables");
   const auto arity = static_cast<size_t>(input.arity);
-  require(!input.variables.empty() && input.variables.size() % arity == 0, "a group needs `arity` variables a factor, and a factor");
+  require(!input.variables.empty() && input.variables.size() % arity == 0,
+          "a group needs `arity` variables a factor, and a factor");
   FactorGroup group;
   group.type = input.type;
   group.arity = input.arity;

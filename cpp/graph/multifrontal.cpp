@@ -104,8 +104,8 @@ Multifrontal::Multifrontal(const Plan& plan)
       diagonal_(static_cast<size_t>(plan.scalars)), updates_(plan.fronts.size()), scratch_(static_cast<size_t>(kScratch)),
       rows_(static_cast<size_t>(plan.largest_rows) + 8) {}
 
-int64_t Multifrontal::factorize(const double* blocks, double damping, double damping_floor, int threads) {
-  const Assembly assembly{blocks, damping, damping_floor, diagonal_.data()};
+int64_t Multifrontal::factorize(double damping, double damping_floor, int threads) {
+  const Assembly assembly{damping, damping_floor, diagonal_.data()};
   return threads > 1 ? run_tasks(assembly, threads) : run_in_order(assembly);
 }
 
@@ -114,7 +114,8 @@ int64_t Multifrontal::run_in_order(const Assembly& assembly) {
   for (size_t s = 0; s < plan_.fronts.size(); ++s) {
     const FrontView& front = plan_.fronts[s];
     updates_[s] = arena_[static_cast<size_t>(front.side)].data() + front.update;
-    const int failed = kernels_.eliminate(view_, static_cast<int32_t>(s), assembly, factor_.data(), updates_.data(), scratch_.data());
+    const int failed = kernels_.eliminate(view_, static_cast<int32_t>(s), assembly, factor_.data() + front.factor, updates_.data(),
+                                          scratch_.data());
     if (failed >= 0) return front.first_pivot + failed;
   }
   return -1;
@@ -133,7 +134,7 @@ int64_t Multifrontal::run_tasks(const Assembly& assembly, int threads) {
         const size_t size = static_cast<size_t>(front.update_height) * static_cast<size_t>(front.rows);
         own[static_cast<size_t>(s)] = std::make_unique_for_overwrite<double[]>(size);
         updates_[static_cast<size_t>(s)] = own[static_cast<size_t>(s)].get();
-        const int failed = kernels_.eliminate(view_, s, assembly, factor_.data(), updates_.data(), scratch.data());
+        const int failed = kernels_.eliminate(view_, s, assembly, factor_.data() + front.factor, updates_.data(), scratch.data());
         for (int32_t c = front.child_begin; c < front.child_end; ++c)
           own[static_cast<size_t>(plan_.children[static_cast<size_t>(c)])].reset();
         if (failed < 0) continue;
@@ -153,10 +154,21 @@ int64_t Multifrontal::run_tasks(const Assembly& assembly, int threads) {
   return failure.load() == std::numeric_limits<int64_t>::max() ? -1 : failure.load();
 }
 
-void Multifrontal::solve(std::span<double> x) const {
-  for (size_t s = plan_.fronts.size(); s-- > 0;)
-    kernels_.back_substitute(view_, static_cast<int32_t>(s), factor_.data(), nullptr, x.data(), rows_.data());
+void Multifrontal::back_substitute(const double* y, double* x) const {
+  for (size_t s = plan_.fronts.size(); s-- > 0;) {
+    const FrontView& front = plan_.fronts[s];
+    size_t n = 0;
+    for (int32_t i = front.node_begin + front.node_pivots; i < front.node_end; ++i) {
+      const auto node = static_cast<size_t>(plan_.nodes[static_cast<size_t>(i)]);
+      const double* from = x + plan_.scalar_of[node];
+      for (int32_t c = 0; c < plan_.weight[node]; ++c) rows_[n++] = from[c];
+    }
+    kernels_.back_substitute(front, factor_.data() + front.factor, y == nullptr ? nullptr : y + front.first_pivot, rows_.data(),
+                             x + front.first_pivot);
+  }
 }
+
+void Multifrontal::solve(std::span<double> x) const { back_substitute(nullptr, x.data()); }
 
 double Multifrontal::gradient_energy() const {
   double sum = 0.0;
@@ -170,9 +182,8 @@ double Multifrontal::gradient_energy() const {
 void Multifrontal::solve_for(std::span<double> b) const {
   for (size_t s = 0; s < plan_.fronts.size(); ++s)
     kernels_.forward_substitute(view_, static_cast<int32_t>(s), factor_.data(), b.data());
-  std::vector<double> y(b.begin(), b.end());
-  for (size_t s = plan_.fronts.size(); s-- > 0;)
-    kernels_.back_substitute(view_, static_cast<int32_t>(s), factor_.data(), y.data(), b.data(), rows_.data());
+  const std::vector<double> y(b.begin(), b.end());
+  back_substitute(y.data(), b.data());
   for (double& value : b) value = -value;
 }
 

@@ -14,9 +14,9 @@ class Multifrontal {
  public:
   explicit Multifrontal(const Plan& plan);
 
-  // Factorises H + damping * diag(H), H the sum of the linearised `blocks`; carries the gradient along.
+  // Factorises H + damping * diag(H), H the sum of the linearised blocks that the plan points to; carries the gradient along.
   // Returns the elimination-order scalar of the first pivot that is not positive, or -1.
-  int64_t factorize(const double* blocks, double damping, double damping_floor, int threads);
+  int64_t factorize(double damping, double damping_floor, int threads);
 
   // x of H x = -g in elimination order, from the last factorisation.
   void solve(std::span<double> x) const;
@@ -30,6 +30,7 @@ class Multifrontal {
   const Plan& plan() const { return plan_; }
 
  private:
+  void back_substitute(const double* y, double* x) const;
   int64_t run_in_order(const Assembly& assembly);
   int64_t run_tasks(const Assembly& assembly, int threads);
 

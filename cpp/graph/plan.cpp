@@ -46,8 +46,8 @@ void tidy(Adjacency& graph) {
 
 class PlanBuilder {
  public:
-  PlanBuilder(std::span<const FactorGroup> groups, const Nodes& nodes, Supernodes supernodes)
-      : groups_(groups), nodes_(nodes), super_(std::move(supernodes)), local_(nodes.weight.size(), -1) {}
+  PlanBuilder(std::span<const FactorGroup> groups, const double* blocks, const Nodes& nodes, Supernodes supernodes)
+      : groups_(groups), blocks_(blocks), nodes_(nodes), super_(std::move(supernodes)), local_(nodes.weight.size(), -1) {}
 
   Plan build() {
     lay_out_fronts();
@@ -125,11 +125,11 @@ class PlanBuilder {
     plan_.blocks.resize(static_cast<size_t>(blocks));
     plan_.gradients.resize(static_cast<size_t>(gradients));
     each_factor(groups_, nodes_, [&](const FactorGroup& group, size_t i, const int32_t* scope) {
-      place_factor(group, static_cast<int64_t>(group.block + i * block_size(group)), scope);
+      place_factor(group, blocks_ + group.block + i * block_size(group), scope);
     });
   }
 
-  void place_factor(const FactorGroup& group, int64_t source, const int32_t* scope) {
+  void place_factor(const FactorGroup& group, const double* source, const int32_t* scope) {
     for (int a = 0; a < group.arity; ++a)
       for (int b = a; b < group.arity; ++b) {
         const int rows = group.dof[static_cast<size_t>(a)], columns = group.dof[static_cast<size_t>(b)];
@@ -144,7 +144,7 @@ class PlanBuilder {
           part.columns = static_cast<int16_t>(swap ? columns : rows);
           part.transposed = swap ? 1 : 0;
         }
-        source += int64_t{rows} * columns;
+        source += rows * columns;
       }
     for (int a = 0; a < group.arity; ++a) {
       const int count = group.dof[static_cast<size_t>(a)];
@@ -224,6 +224,7 @@ class PlanBuilder {
   }
 
   std::span<const FactorGroup> groups_;
+  const double* blocks_;
   const Nodes& nodes_;
   Supernodes super_;
   Plan plan_;
@@ -257,9 +258,9 @@ Adjacency adjacency_of(std::span<const FactorGroup> groups, const Nodes& nodes) 
   return graph;
 }
 
-Plan make_plan(std::span<const FactorGroup> groups, const Nodes& nodes, const Adjacency& graph,
+Plan make_plan(std::span<const FactorGroup> groups, const double* blocks, const Nodes& nodes, const Adjacency& graph,
                std::span<const int32_t> order) {
-  return PlanBuilder(groups, nodes, find_supernodes(graph, nodes.weight, order)).build();
+  return PlanBuilder(groups, blocks, nodes, find_supernodes(graph, nodes.weight, order)).build();
 }
 
 }  // namespace heliograph

@@ -44,7 +44,8 @@ struct Plan {
 
 Adjacency adjacency_of(std::span<const FactorGroup> groups, const Nodes& nodes);
 
-Plan make_plan(std::span<const FactorGroup> groups, const Nodes& nodes, const Adjacency& graph,
+// `blocks` is where the linearised factors will lie, as the groups' `block` offsets say.
+Plan make_plan(std::span<const FactorGroup> groups, const double* blocks, const Nodes& nodes, const Adjacency& graph,
                std::span<const int32_t> order);
 
 }  // namespace heliograph

@@ -109,10 +109,10 @@ void GraphProblem::analyze(OrderMethod method) {
     order = nested_dissection(graph, nodes_.weight);
   }
   multifrontal_.reset();
-  plan_ = std::make_unique<Plan>(make_plan(groups_, nodes_, graph, order));
+  blocks_.assign(block_doubles_, 0.0);
+  plan_ = std::make_unique<Plan>(make_plan(groups_, blocks_.data(), nodes_, graph, order));
   multifrontal_.emplace(*plan_);
   elimination_.assign(static_cast<size_t>(plan_->scalars), 0.0);
-  blocks_.assign(block_doubles_, 0.0);
 }
 
 const Plan& GraphProblem::plan() const {
@@ -126,7 +126,7 @@ const Multifrontal& GraphProblem::factorization() const {
 }
 
 GroupCost GraphProblem::linearize(int threads) {
-  blocks_.resize(block_doubles_);
+  blocks_.resize(block_doubles_);  // they keep their place once there is a plan
   return sum_chunks(groups_, threads, [&](const FactorGroup& group, const Chunk& chunk) {
     double* blocks = blocks_.data() + group.block + chunk.begin * block_size(group);
     return linearize_group(group, chunk.begin, chunk.end, values_.data(), blocks);
@@ -142,7 +142,7 @@ GroupCost GraphProblem::cost(bool at_candidate, int threads) const {
 
 int64_t GraphProblem::factorize(double damping, double damping_floor, int threads) {
   plan();
-  const int64_t failed = multifrontal_->factorize(blocks_.data(), damping, damping_floor, threads);
+  const int64_t failed = multifrontal_->factorize(damping, damping_floor, threads);
   if (failed < 0) return -1;
   for (size_t node = 0; node < nodes_.weight.size(); ++node) {
     const int64_t first = plan_->scalar_of[node];
@@ -238,8 +238,14 @@ std::vector<double> GraphProblem::multiply(std::span<const double> v) const {
 }
 
 void GraphProblem::retract() {
-  for (const FamilyBlock& family : families_)
-    retract_block(family, values_.data() + family.value, step_.data() + family.tangent, candidate_.data() + family.value);
+  for (const FamilyBlock& family : families_) {
+    retract_block(family, values_.data(), step_.data(), candidate_.data());
+    // A step of zero may still round, but what is held keeps its bits.
+    const auto storage = static_cast<size_t>(family.storage);
+    for (size_t k = 0; k < family.count; ++k)
+      if (held_[family.first + k] != 0)
+        std::copy_n(values_.data() + family.value + k * storage, storage, candidate_.data() + family.value + k * storage);
+  }
 }
 
 }  // namespace heliograph

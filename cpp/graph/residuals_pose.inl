@@ -164,9 +164,10 @@ struct PriorS2 {
   }
 };
 
-// Vectors of any length.
+// Vectors of any length; the frequent ones have a layout of fixed size.
+template <class LayoutOf>
 struct PriorVector {
-  using Layout = Dynamic;
+  using Layout = LayoutOf;
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
     const double *x = value_of(v, k, 1, 0), *z = measurement_of(v, k, layout.rows());
@@ -177,8 +178,9 @@ struct PriorVector {
   }
 };
 
+template <class LayoutOf>
 struct BetweenVector {
-  using Layout = Dynamic;
+  using Layout = LayoutOf;
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
     const double *xi = value_of(v, k, 2, 0), *xj = value_of(v, k, 2, 1), *z = measurement_of(v, k, layout.rows());
@@ -193,8 +195,9 @@ struct BetweenVector {
 };
 
 // x_j - F x_i - u; the measurement is F row-major, then u.
+template <class LayoutOf>
 struct LinearMotionVector {
-  using Layout = Dynamic;
+  using Layout = LayoutOf;
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
     const int n = layout.dof(0), m = layout.rows();
@@ -211,8 +214,9 @@ struct LinearMotionVector {
 };
 
 // What the caller has evaluated.
+template <class LayoutOf>
 struct Custom {
-  using Layout = Dynamic;
+  using Layout = LayoutOf;
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
     const int m = layout.rows();

@@ -65,6 +65,13 @@ def test_own_local_map_tracks():
     assert matches > 1000
 
 
+def test_factor_graph_shows_the_textbook():
+    text = _run("factor_graph.py")
+    assert "x0 = 0.167" in text
+    assert "x1 = 10.333" in text
+    assert _numbers(r"gives in by ([\d.]+) m", text) == [0.02]
+
+
 @pytest.mark.slow
 def test_tunnel_degeneracy_points_along_the_tunnel(tmp_path):
     text = _run("tunnel_degeneracy.py", tmp_path / "figure.png", 20)

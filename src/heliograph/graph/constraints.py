@@ -43,9 +43,9 @@ def minimize_constrained(
 
     Notes
     -----
-    Each round minimises with the penalty ``mu |r + s|^2`` in place of a constraint; then ``s`` takes what is left of r, which
-    makes ``mu s`` the multiplier. The penalty grows only where the constraint does not shrink fast enough, so the normal
-    equations stay well conditioned, and the constraint holds to rounding at the end all the same.
+    Each round minimises with the penalty ``mu |r + s|^2`` in place of a constraint; then ``s`` takes what is left of r,
+    which makes ``mu s`` the multiplier. The penalty grows only where the constraint does not shrink fast enough, so the
+    normal equations stay well conditioned, and the constraint holds to rounding at the end all the same.
     """
     groups = [index for index, group in enumerate(problem.groups) if group.constrained]
     penalty = _PENALTY * _typical_information(problem)

@@ -336,7 +336,8 @@ class LinearMotion(NativeRecord):
             ) from None
         self._fill(
             keys=keys,
-            measurement=np.concatenate([flat_F, flat_u], axis=1),
+            # What is broadcast joins column by column; the native side reads rows.
+            measurement=np.ascontiguousarray(np.concatenate([flat_F, flat_u], axis=1)),
             measured=None,
             rows=after,
             noise=noise,

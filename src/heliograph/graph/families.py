@@ -103,15 +103,16 @@ def _finite(elements: Array) -> Array:
 
 
 def _skewness(elements: Array, size: int) -> Array:
-    """Return how far the leading blocks (N, size, size) are from rotations, infinite where anything is not finite."""
-    R = np.where(np.isfinite(elements[:, :size, :size]), elements[:, :size, :size], 0.0)
-    if size == 2:
-        off = np.abs(R[:, 0, 0] - R[:, 1, 1]) + np.abs(R[:, 0, 1] + R[:, 1, 0])
-        off += np.abs(R[:, 0, 0] ** 2 + R[:, 1, 0] ** 2 - 1.0)
-    else:
-        off = np.abs(np.einsum("nij,nik->njk", R, R) - np.eye(3)).max(axis=(1, 2))
-        off += np.abs(np.einsum("ni,ni->n", np.cross(R[:, 0], R[:, 1]), R[:, 2]) - 1.0)
-    return np.asarray(off + _finite(elements), dtype=np.float64)
+    """Return how far the leading blocks (N, size, size) are from rotations; not finite where any number is not."""
+    R = elements[:, :size, :size]
+    with np.errstate(all="ignore"):
+        if size == 2:
+            c, s = R[:, 0, 0], R[:, 1, 0]
+            off = np.abs(c - R[:, 1, 1]) + np.abs(s + R[:, 0, 1]) + np.abs(c * c + s * s - 1.0)
+        else:
+            off = np.abs(np.einsum("nij,nik->njk", R, R) - np.eye(3)).max(axis=(1, 2))
+            off += np.abs(np.linalg.det(R) - 1.0)
+    return np.asarray(off + _finite(elements[:, :size, size:]), dtype=np.float64)
 
 
 def _pack_planar(m: Array) -> Array:

@@ -119,7 +119,7 @@ def solve_robust(
     settings: RobustSettings | None = None,
     threads: int = 1,
 ) -> RobustSolution:
-    """Estimate the values and tell which factors are outliers (docs/theory/graph.md, eqs. 40-45).
+    """Estimate the values and tell which factors are outliers (docs/theory/graph.md, eqs. 20-23).
 
     Graduated non-convexity needs an estimate near the truth to begin with, or a solver that needs none ([1]_ uses
     global ones). Here the trusted factors give one, in stages: the trusted factors alone; with them those doubtful

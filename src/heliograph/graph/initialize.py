@@ -136,7 +136,7 @@ class _Turned:
 def _rotations(
     groups: Sequence[ResolvedGroup], family: Family, elements: Array, first: int, is_held: Mask, threads: int
 ) -> _Turned | None:
-    """Return rotations from the linear relaxation ([2]_ section III-B; docs/theory/graph.md, eq. 30).
+    """Return rotations from the linear relaxation ([2]_ section III-B; docs/theory/graph.md, eqs. 17-18).
 
     The rows of R_j = R_i R_ij are linear in R_i and R_j: a row x of R obeys ``x_j = R_ij' x_i``, the same for all d.
     The constraint that R is a rotation is dropped, and restored by the nearest rotation.
@@ -233,7 +233,7 @@ def _oriented(turned: _Turned, t: Array, at: Indices, p_world: Array) -> Array:
 def _translations(
     scene: _Scene, R: Array, elements: Array, points: Array, positions: _Measured
 ) -> tuple[Array, Array] | None:
-    """Return positions of poses and points given the rotations (docs/theory/graph.md, eq. 31)."""
+    """Return positions of poses and points given the rotations (docs/theory/graph.md, eq. 19)."""
     d, n = R.shape[-1], len(R)
     given = np.concatenate([elements[:, :d, d], points])
     i, j, u, weight = _relative(scene, R)

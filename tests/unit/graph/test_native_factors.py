@@ -10,6 +10,7 @@ import pytest
 
 from heliograph import _core
 from heliograph.lie import s2, so3
+from heliograph.testing import assert_robust_kernel
 from native_factors import element, evaluate, turn
 from reference import factors as twin
 
@@ -26,13 +27,13 @@ def pairs(poses, targets):
 EVERYWHERE = {space: POSES[space] + POINTS[space] for space in (2, 3)}
 CASES = [
     *((twin.PRIOR, ((m, twin.DOF[m]),)) for m in (*GROUPS, twin.S2)),
-    *((twin.PRIOR, ((twin.VECTOR, d),)) for d in (1, 3, 16)),
+    *((twin.PRIOR, ((twin.VECTOR, d),)) for d in (1, 2, 3, 16)),
     *((twin.BETWEEN, ((m, twin.DOF[m]),) * 2) for m in GROUPS),
-    *((twin.BETWEEN, ((twin.VECTOR, d),) * 2) for d in (1, 2, 7)),
+    *((twin.BETWEEN, ((twin.VECTOR, d),) * 2) for d in (1, 2, 3, 4, 6, 7)),
     *((twin.RANGE, pair) for pair in pairs(EVERYWHERE, EVERYWHERE)),
     *((kind, pair) for kind in (twin.BEARING, twin.LANDMARK) for pair in pairs(POSES, EVERYWHERE)),
     *((twin.POSITION, ((m, d),)) for m, d in ((twin.SE2, 3), (twin.SE3, 6), (twin.NAV, 9), (twin.VECTOR, 4))),
-    *((twin.LINEAR_MOTION, ((twin.VECTOR, i), (twin.VECTOR, j))) for i, j in ((1, 1), (4, 2), (3, 5))),
+    *((twin.LINEAR_MOTION, ((twin.VECTOR, i), (twin.VECTOR, j))) for i, j in ((1, 1), (3, 3), (6, 6), (4, 2), (3, 5))),
 ]
 
 
@@ -177,8 +178,19 @@ def test_blocks_and_cost_are_the_twins(kind, families, form, shared, kernel, rng
         np.testing.assert_allclose([cost, cost_alone], sum(e[2] for e in expected), rtol=1e-12)
 
 
-def test_custom_factor_passes_on_what_was_handed_in(rng):
-    families, rows, n = ((twin.SE2, 3), (twin.VECTOR, 5), (twin.S2, 2)), 4, 7
+CUSTOM_KINDS = [
+    (((twin.SE2, 3), (twin.VECTOR, 5), (twin.S2, 2)), 4),
+    (((twin.SE2, 3), (twin.SO3, 3)), 3),
+    (((twin.SE3, 6), (twin.SE3, 6)), 6),
+    (((twin.SE3, 6), (twin.SE3, 6)), 5),
+    (((twin.VECTOR, 1), (twin.VECTOR, 1)), 1),
+    (((twin.VECTOR, 16),) * 8, 20),
+]
+
+
+@pytest.mark.parametrize(("families", "rows"), CUSTOM_KINDS)
+def test_custom_factor_passes_on_what_was_handed_in(families, rows, rng):
+    n = 7
     xs = [[element(m, d, rng) for m, d in families] for _ in range(n)]
     r, J = rng.normal(size=(n, rows)), [rng.normal(size=(n, rows, d)) for _, d in families]
     S = np.triu(rng.normal(size=(rows, rows)))
@@ -195,8 +207,37 @@ def test_custom_factor_passes_on_what_was_handed_in(rng):
         total += part
         np.testing.assert_allclose(blocks[k], block, rtol=1e-12, atol=1e-12 * np.abs(block).max())
     np.testing.assert_allclose(cost, total, rtol=1e-12)
-    for a in range(3):
-        np.testing.assert_array_equal(jacobians[a], J[a])
+    for ours, given in zip(jacobians, J, strict=True):
+        np.testing.assert_array_equal(ours, given)
+
+
+class NativeKernel:
+    """A native robust kernel on plain numbers."""
+
+    def __init__(self, code, width):
+        self.given = {"kernel": code, "width": width}
+
+    def _each(self, r):
+        for one in np.ravel(r):
+            yield evaluate(twin.PRIOR, ((twin.VECTOR, 1),), [[np.array([one])]], [np.zeros(1)], **self.given)
+
+    def cost(self, r):
+        return np.reshape([0.5 * out[5] for out in self._each(r)], np.shape(r))
+
+    def weight(self, r):
+        return np.reshape([out[3][0, 0] for out in self._each(r)], np.shape(r))
+
+
+@pytest.mark.parametrize("code", range(6))
+@pytest.mark.parametrize("width", [0.7, 1.1, 2.5])
+def test_robust_kernels_obey_the_law(code, width):
+    assert_robust_kernel(NativeKernel(code, width))
+
+
+def test_truncated_kernel_is_least_squares_until_it_ends():
+    kernel, r = NativeKernel(twin.TRUNCATED, 2.0), np.array([0.0, 1.0, 1.999, 2.001, 50.0])
+    np.testing.assert_allclose(kernel.cost(r), np.minimum(r, 2.0) ** 2 / 2)
+    np.testing.assert_array_equal(kernel.weight(r), [1, 1, 1, 0, 0])
 
 
 @pytest.mark.parametrize("target", [(twin.VECTOR, 3), (twin.SE3, 6)])
