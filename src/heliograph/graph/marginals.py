@@ -110,6 +110,8 @@ class Marginals:
     def joint(self, keys: ArrayLike) -> Array:
         """Return the joint covariance (D, D) of several variables, in the order of the keys."""
         dense = self._dense(keys)
+        if len(dense) == 0:
+            return np.zeros((0, 0))
         starts, dofs = self._problem.tangents(dense)
         columns = np.concatenate([np.arange(s, s + d) for s, d in zip(starts, dofs, strict=True)])
         held = np.repeat(self._held[dense], dofs)
