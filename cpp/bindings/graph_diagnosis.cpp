@@ -14,7 +14,7 @@ auto moved(std::vector<T>&& values) {
   return to_numpy<T>(std::move(values), {size});
 }
 
-// determined, components, component, factors, freedom, part, columns, motion_of, motion
+// determined, everywhere, components, component, factors, freedom, part, columns, motion_of, motion
 Tuple find_free(const GraphProblem& problem, const Indices& assumed, int most_columns) {
   FreeSpace space;
   {
@@ -23,7 +23,7 @@ Tuple find_free(const GraphProblem& problem, const Indices& assumed, int most_co
   }
   std::vector<uint8_t> freedom;
   for (const Freedom value : space.freedom) freedom.push_back(static_cast<uint8_t>(value));
-  return Tuple(nb::make_tuple(space.determined, space.components, moved(std::move(space.component)), moved(std::move(space.factors)),
+  return Tuple(nb::make_tuple(space.determined, space.everywhere, space.components, moved(std::move(space.component)), moved(std::move(space.factors)),
                               moved(std::move(freedom)), moved(std::move(space.part)), moved(std::move(space.columns)),
                               moved(std::move(space.motion_of)), moved(std::move(space.motion))));
 }

@@ -118,6 +118,7 @@ class Finder {
   void components(FreeSpace* out) const;
   void settle(int32_t v, bool fixed);
   void ready(int32_t v);
+  bool always_regular(int32_t v) const;
   bool attempt(int32_t v);
   void add_motion(const Link& factor, size_t a, std::vector<double>* right) const;
   void follow(int32_t v, const std::vector<double>& right);
@@ -204,6 +205,17 @@ void Finder::ready(int32_t v) {
   if ((count & (count - 1)) != 0 || !attempt(v)) pending_.push_back(v);
 }
 
+// Whether the one factor that leads to v does so at any values.
+bool Finder::always_regular(int32_t v) const {
+  for (const int32_t f : factors_at(v)) {
+    if (open_[at(f)] != 1) continue;
+    const FactorType type = link(f).group->type;
+    return type == FactorType::prior || type == FactorType::between || type == FactorType::landmark ||
+           type == FactorType::linear_motion;
+  }
+  return false;
+}
+
 bool Finder::attempt(int32_t v) {
   const int n = problem_.dof_of(at(v));
   tried_[at(v)] = ready_[at(v)];
@@ -219,6 +231,7 @@ bool Finder::attempt(int32_t v) {
   }
   if (columns_ == 0) {
     if (!regular(sum, n)) return false;
+    out_.everywhere = out_.everywhere && ready_[at(v)] == 1 && always_regular(v);
     settle(v, true);
     return true;
   }
@@ -405,6 +418,7 @@ void Finder::part(std::vector<int32_t> members) {
   }
   const bool complete = std::none_of(members.begin(), members.end(), [&](int32_t v) { return place_[at(v)] == Place::open; });
   if (resolved && (!complete || resists())) {
+    out_.everywhere = false;
     for (const int32_t v : body_) {
       place_[at(v)] = Place::fixed;
       motion_[at(v)] = {};

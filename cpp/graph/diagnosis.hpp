@@ -18,6 +18,7 @@ enum class Freedom : uint8_t {
 
 struct FreeSpace {
   bool determined = true;               // everything is; then what follows is left empty
+  bool everywhere = true;               // what is determined is so at any values: single factors of full rank lead to it
   int32_t components = 0;               // of the graph, over free and held variables; a variable without factors is one
   std::vector<int32_t> component;       // (variables)
   std::vector<int32_t> factors;         // (variables) that touch it

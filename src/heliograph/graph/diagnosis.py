@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
-from heliograph.errors import UnderconstrainedError
+from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.families import Family
 from heliograph.graph.free_motion import FreeMotion, describe_free, named_keys, remedy_for
@@ -27,6 +27,7 @@ Indices = NDArray[np.int64]
 _MOST_COLUMNS = 48  # seed directions of one part
 _MOST_PARTS = 50  # that are told one by one
 _MOST_TOLD = 6  # in a message
+_TURN = 0.3  # of the perturbation that tells structure from accident [rad, and of the extent]
 _DAMPING = 1e-13  # of the diagonal, for the inverse iteration
 _COLUMNS, _ROUNDS = 8, 3  # of the inverse iteration
 _DETERMINED, _FOLLOWS, _UNRESOLVED = 0, 1, 2  # as the native side numbers them
@@ -44,11 +45,14 @@ class Diagnosis:
         Connected components of the graph, held variables included; a variable without factors is one. 0: not counted.
     complete : bool
         Nothing else can be free. False where the graph is too entangled to decide that without factorising it.
+    everywhere : bool
+        Everything is determined whatever the values are.
     """
 
     free: tuple[FreeMotion, ...]
     components: int = 0
     complete: bool = True
+    everywhere: bool = False
 
     @property
     def ok(self) -> bool:
@@ -107,12 +111,58 @@ def diagnose(graph: FactorGraph, values: Values) -> Diagnosis:
     return replace(found, components=_core.graph_components(problem.native))
 
 
-def require_determined(problem: Problem, *, weighted: bool = False) -> Diagnosis:
-    """Raise `UnderconstrainedError` if a linearised problem leaves anything free; nothing is factorised."""
-    found = inspect(problem, weighted=weighted)
+def require_determined(problem: Problem) -> Diagnosis:
+    """Raise `UnderconstrainedError` if a linearised problem leaves anything free at any values; nothing is factorised.
+
+    Returns
+    -------
+    Diagnosis
+        At the present values. It may name motions that are free only there, such as turns of poses whose landmarks all
+        start at the origin; a solver leads away from such values, so the end is what counts.
+    """
+    found = inspect(problem)
+    if found.ok:
+        return found
+    elsewhere = _inspect_elsewhere(problem)
+    if elsewhere is None or elsewhere.ok:
+        return found
+    stays = np.unique(np.concatenate([motion.keys for motion in elsewhere.free]))
+    free = tuple(motion for motion in found.free if np.isin(motion.keys, stays).any())
+    raise_free(replace(found, free=free or elsewhere.free))
+    return found
+
+
+def raise_free(found: Diagnosis) -> None:
+    """Raise `UnderconstrainedError` unless nothing is free."""
     if not found.ok:
         raise UnderconstrainedError(found.message, found)
-    return found
+
+
+def _inspect_elsewhere(problem: Problem) -> Diagnosis | None:
+    """Return the diagnosis at values far from the present ones, or None where they cannot be evaluated."""
+    saved = problem.native.values()
+    rng = np.random.default_rng(0)
+    steps = []
+    for family, packed in zip(problem.families, problem.values().packed(), strict=True):
+        step = rng.normal(scale=_TURN, size=(len(packed), family.dof))
+        if family.space or family.lie is None:
+            at = packed if family.lie is None else family.elements(packed)[:, : family.space, family.space]
+            spread = float(np.ptp(at, axis=0).max(initial=0.0))
+            turns = 0 if family.lie is None else 1 if family.space == 2 else 3
+            step[:, turns:] *= spread or 1.0
+        steps.append(step.reshape(-1))
+    problem.native.set_step(np.concatenate(steps))
+    problem.native.retract()
+    problem.accept()
+    # held variables stay where they are: their step does nothing to what is determined by them
+    try:
+        finite = np.isfinite(problem.linearize().cost)
+        return inspect(problem) if finite else None
+    except GraphError:
+        return None
+    finally:
+        problem.native.set_values(saved)
+        problem.linearize()
 
 
 def require_solved(problem: Problem, *, before: Diagnosis, failed: bool) -> None:
@@ -123,20 +173,18 @@ def require_solved(problem: Problem, *, before: Diagnosis, failed: bool) -> None
     problem : Problem
         At its last values.
     before : Diagnosis
-        Of the start. Where it was complete, only robust kernels that reject factors altogether can change it.
+        Of the start.
     failed : bool
         The normal equations had no Cholesky factor.
     """
     rejecting = any(group.kernel is not None for group in problem.groups)
-    if before.complete and not rejecting and not failed:
+    if before.everywhere and not rejecting and not failed:
         return
     problem.linearize()
-    found = inspect(problem, weighted=True, factorize=failed or not before.complete)
-    if not found.ok:
-        raise UnderconstrainedError(found.message, found)
+    raise_free(inspect(problem, weighted=True, factorize=True if failed else None))
 
 
-def inspect(problem: Problem, *, weighted: bool = False, factorize: bool = False) -> Diagnosis:
+def inspect(problem: Problem, *, weighted: bool = False, factorize: bool | None = False) -> Diagnosis:
     """Return the diagnosis of a linearised problem.
 
     Parameters
@@ -145,8 +193,8 @@ def inspect(problem: Problem, *, weighted: bool = False, factorize: bool = False
         Linearised; analysed where `factorize` is set.
     weighted : bool
         Factors that a robust kernel rejects count for nothing.
-    factorize : bool
-        Decide what is left undecided by inverse iteration.
+    factorize : bool or None
+        Look for null vectors by inverse iteration; None: only where the graph is too entangled to decide without.
     """
     return _Search(problem, weighted=weighted).run(factorize=factorize)
 
@@ -157,8 +205,9 @@ class _Space:
     def __init__(self, problem: Problem, assumed: Indices) -> None:
         found = _core.graph_free_space(problem.native, assumed.astype(np.int32), _MOST_COLUMNS)
         self.determined: bool = found[0]
-        self.components: int = found[1]
-        self.component, self.factors, self.freedom, self.part, self.columns, self.motion_of, self.motion = found[2:]
+        self.everywhere: bool = found[1]
+        self.components: int = found[2]
+        self.component, self.factors, self.freedom, self.part, self.columns, self.motion_of, self.motion = found[3:]
 
     def parts(self) -> list[Indices]:
         """Return the variables of each part, ascending."""
@@ -180,11 +229,11 @@ class _Search:
         self.weighted = weighted
         self.free: list[FreeMotion] = []
 
-    def run(self, *, factorize: bool) -> Diagnosis:
+    def run(self, *, factorize: bool | None) -> Diagnosis:
         space = _Space(self.problem, np.zeros(0, dtype=np.int64))
         self.space = space
         if space.determined:
-            return Diagnosis(free=())
+            return Diagnosis(free=(), everywhere=space.everywhere)
         problem = self.problem
         self.sensitivities = Sensitivities(problem, weighted=self.weighted)
         self.keys = problem.start.keys()
@@ -194,7 +243,7 @@ class _Search:
         unresolved = self._parts(space)
         if unresolved:
             self._unresolved(unresolved)
-        if factorize and not self.free:
+        if (factorize or (factorize is None and unresolved)) and not self.free:
             everything = unresolved or [np.setdiff1d(np.arange(len(self.keys)), problem.held)]
             self._iterate(np.sort(np.concatenate(everything)))
         order = sorted(self.free, key=lambda motion: (motion.component, int(motion.keys[0])))

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import GraphError
 from heliograph.graph.constraints import stiffen
-from heliograph.graph.diagnosis import require_determined, require_solved
+from heliograph.graph.diagnosis import inspect, raise_free
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.problem import Problem
 from heliograph.graph.records import as_keys, key_list
@@ -58,12 +58,10 @@ class Marginals:
         self._problem.analyze()
         stiffen(self._problem)
         self._problem.check_finite(self._problem.linearize())
-        before = require_determined(self._problem, weighted=True)
+        raise_free(inspect(self._problem, weighted=True, factorize=None))
         key = self._problem.factorize(0.0, 0.0)
-        if key is not None or not before.complete:
-            require_solved(self._problem, before=before, failed=key is not None)
-            key = self._problem.factorize(0.0, 0.0)
         if key is not None:
+            raise_free(inspect(self._problem, weighted=True, factorize=True))
             raise GraphError(
                 f"the normal equations are not positive definite at variable {key}, although no motion is entirely "
                 "free: the information of its factors is too uneven for double precision"
