@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 from heliograph.errors import ConfigError, GraphError, closest
@@ -122,7 +123,7 @@ def _search(
     if again is not None:
         start = again
         found = minimize(problem, run.settings, start.cost, run.observe)
-        steps += found.iterations
+        steps += tuple(replace(step, number=step.number + len(steps)) for step in found.iterations)
         run.clock.lap("iterate")
     return start, found, steps
 
