@@ -164,10 +164,11 @@ class Problem:
     def cost(self, *, candidate: bool = False) -> Cost:
         """Return the costs at the present values, or at the candidate's."""
         if self._custom:
-            self._evaluate(self.native.candidate() if candidate else self.native.values(), with_jacobians=False)
+            flat = self.native.candidate() if candidate else self.native.values()
+            self._evaluate(flat, with_jacobians=False, finite=not candidate)
         return Cost(*self.native.cost(candidate, self.threads))
 
-    def _evaluate(self, flat: Array, *, with_jacobians: bool) -> None:
+    def _evaluate(self, flat: Array, *, with_jacobians: bool, finite: bool = True) -> None:
         blocks = self._blocks(flat)
         stacked = [family.elements(block) for family, block in zip(self.families, blocks, strict=True)]
         for custom in self._custom:
@@ -181,7 +182,7 @@ class Problem:
             if with_jacobians:
                 residual, jacobians = factor.evaluate(arrays, custom.group.data, name=name)
             else:
-                residual, jacobians = factor.residuals(arrays, custom.group.data, name=name), []
+                residual, jacobians = factor.residuals(arrays, custom.group.data, name=name, finite=finite), []
             contiguous = [np.ascontiguousarray(J) for J in jacobians]
             self.native.set_custom(custom.index, np.ascontiguousarray(residual), contiguous)
 

@@ -29,6 +29,7 @@ _WIDE_SHARE = 0.05
 
 # Honest noise gives a cost of about one a degree of freedom at the optimum; above this the end is doubted.
 _POOR_COST = 3.0
+_FEW = 20
 
 _BETWEEN = 2
 _TURNS = {FAMILIES[SO2]: 1, FAMILIES[SE2]: 1, FAMILIES[SO3]: 3, FAMILIES[SE3]: 3}
@@ -106,7 +107,9 @@ def second_start(problem: Problem, values: Values, end: Minimum) -> Start | None
     """
     freedom = max(problem.rows - problem.free_scalars, 1)
     settled = end.status == "converged" and end.cost <= _POOR_COST * freedom
-    if settled or end.status == "indefinite":
+    # Who allows only a few steps gets no more of them.
+    few = end.status == "max_iterations" and len(end.iterations) < _FEW
+    if settled or few or end.status == "indefinite":
         return None
     chordal = chordal_values(problem.groups, values, problem.held, threads=problem.threads)
     if chordal is None:
