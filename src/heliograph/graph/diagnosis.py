@@ -165,8 +165,8 @@ def _inspect_elsewhere(problem: Problem) -> Diagnosis | None:
         problem.linearize()
 
 
-def require_solved(problem: Problem, *, before: Diagnosis, failed: bool) -> None:
-    """Raise `UnderconstrainedError` if a solved problem's values are not determined.
+def require_solved(problem: Problem, *, before: Diagnosis, failed: bool) -> Diagnosis:
+    """Raise `UnderconstrainedError` if a solved problem's values are not determined by all of its factors.
 
     Parameters
     ----------
@@ -176,12 +176,21 @@ def require_solved(problem: Problem, *, before: Diagnosis, failed: bool) -> None
         Of the start.
     failed : bool
         The normal equations had no Cholesky factor.
+
+    Returns
+    -------
+    Diagnosis
+        Without the factors that their robust kernels reject altogether: what only those held is named there as free.
     """
     rejecting = any(group.kernel is not None for group in problem.groups)
     if before.everywhere and not rejecting and not failed:
-        return
+        return before
     problem.linearize()
-    raise_free(inspect(problem, weighted=True, factorize=True if failed else None))
+    factorize = True if failed else None
+    found = inspect(problem, weighted=True, factorize=factorize)
+    if not found.ok:
+        raise_free(inspect(problem, factorize=factorize))
+    return found
 
 
 def inspect(problem: Problem, *, weighted: bool = False, factorize: bool | None = False) -> Diagnosis:

@@ -83,7 +83,7 @@ def solve(
     clock.lap("diagnose")
     run = _Run(METHODS[method], settings, observer or _ignore, clock)
     start, found, steps = _search(problem, values, initial, first, run)
-    require_solved(problem, before=before, failed=found.status == "indefinite")
+    diagnosis = require_solved(problem, before=before, failed=found.status == "indefinite")
     clock.lap("diagnose")
     return Solution(
         values=problem.values(),
@@ -98,6 +98,7 @@ def solve(
         start=start.text,
         steps=steps,
         seconds=clock.seconds(),
+        diagnosis=diagnosis,
         plan=problem.native.plan(),
     )
 

@@ -68,7 +68,7 @@ def refusal(graph, values):
 def accepted(graph, values, method="lm"):
     assert diagnose(graph, values).ok
     solution = solve(graph, values, method)
-    assert solution.status == "converged"
+    assert solution.status == "converged" and solution.diagnosis.ok
     return solution
 
 
@@ -408,8 +408,10 @@ def test_what_a_kernel_rejects_altogether_is_not_silently_kept():
     graph.add(Between(4, 9, [1.0], Isotropic(0.1), kernel=TruncatedLeastSquares(3.0)))
     assert diagnose(graph, values).ok
     for method in METHODS:
-        with pytest.raises(UnderconstrainedError, match="vector 9 is free to shift component 0"):
-            solve(graph, values, method)
+        (motion,) = solve(graph, values, method).diagnosis.free
+        assert motion.text == "vector 9 is free to shift component 0"
+    with pytest.raises(UnderconstrainedError, match="vector 9 is free to shift component 0"):
+        Marginals(graph, values)
     graph.add(Prior(9, [49.0], Isotropic(1.0), kernel=Huber(1.0)))
     accepted(graph, values)
 
