@@ -6,6 +6,7 @@ NB_MODULE(_core, m) {
   m.doc() = "Native kernels of Heliograph; private, wrapped by the Python rooms.";
   heliograph::bind_cloud(m);
   heliograph::bind_graph_problem(m);
+  heliograph::bind_graph_diagnosis(m);
   heliograph::bind_graph_files(m);
   heliograph::bind_graph_ordering(m);
   heliograph::bind_graph_factors(m);

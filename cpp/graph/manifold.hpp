@@ -38,7 +38,8 @@ struct FamilyBlock {
   size_t tangent = 0;  // offset into the flat tangent array
 };
 
-// x <- x retracted by delta (right perturbation, rotation first), for a whole block; `out` may be `x`.
+// out <- x retracted by delta (right perturbation, rotation first), for a whole block. All three are the flat arrays of all
+// families, of which the block says its part; `out` may be `x`.
 void retract_block(const FamilyBlock& block, const double* x, const double* delta, double* out);
 
 }  // namespace heliograph

@@ -255,8 +255,14 @@ std::vector<double> GraphProblem::multiply(std::span<const double> v) const {
 }
 
 void GraphProblem::retract() {
-  for (const FamilyBlock& family : families_)
+  for (const FamilyBlock& family : families_) {
     retract_block(family, values_.data(), step_.data(), candidate_.data());
+    // A step of zero may still round, but what is held keeps its bits.
+    const auto storage = static_cast<size_t>(family.storage);
+    for (size_t k = 0; k < family.count; ++k)
+      if (held_[family.first + k] != 0)
+        std::copy_n(values_.data() + family.value + k * storage, storage, candidate_.data() + family.value + k * storage);
+  }
 }
 
 }  // namespace heliograph

@@ -97,6 +97,8 @@ def solve(
         print(f"note: {note}", file=sys.stderr)
     initial = "chordal" if init is Init.chordal else "auto"
     solution = minimise(task.graph, task.values, solver.value, initial=initial, threads=threads)
+    if json and initial == "auto" and solution.start != "given":
+        print(f"note: start: {solution.start}", file=sys.stderr)
     written = _write(task, solution, output, plot, title=graph.stem)
     facts = _facts(graph, task, solution, solver, robust, threads, written)
     for warning in facts["warnings"]:
@@ -251,7 +253,7 @@ def _lines(facts: dict[str, Any]) -> list[str]:
     stages = ", ".join(f"{name} {seconds:.3f}" for name, seconds in facts["seconds"].items() if name != "total")
     lines = [
         f"{facts['poses']} poses in {where}{points}, {facts['edges']} edges, {facts['held']} held",
-        f"start: {facts['init']} ({facts['start']})",
+        f"start: {facts['init'] if facts['start'] == 'given' else facts['start']}",
         f"chi2 {facts['initial_chi2']:.6g} -> {facts['final_chi2']:.6g}{per_dof}{robust}",
         f"{facts['iterations']} iterations of {_WORDS[facts['solver']]} in {facts['solve_seconds']:.3f} s ({stages})",
     ]

@@ -207,23 +207,28 @@ class Factor(FactorRecord):
         return residual, checked
 
     @classmethod
-    def residuals(cls, arrays: Sequence[Array], data: Sequence[Array], *, name: Namer = _instance) -> Array:
-        """Return the residuals (N, rows) alone; parameters and errors as in `evaluate`."""
+    def residuals(
+        cls, arrays: Sequence[Array], data: Sequence[Array], *, name: Namer = _instance, finite: bool = True
+    ) -> Array:
+        """Return the residuals (N, rows) alone; parameters and errors as in `evaluate`.
+
+        Without `finite`, numbers that are not finite are returned: a step may lead to where a residual is not defined.
+        """
         keep_memory()
-        return cls._residuals(arrays, data, name)
+        return cls._residuals(arrays, data, name, finite)
 
     @classmethod
-    def _residuals(cls, arrays: Sequence[Array], data: Sequence[Array], name: Namer) -> Array:
+    def _residuals(cls, arrays: Sequence[Array], data: Sequence[Array], name: Namer, finite: bool = True) -> Array:
         found = cls.residual(*arrays, *data)
-        return _checked(f"{cls.__name__}.residual", found, (len(arrays[0]), cls.rows), name)
+        return _checked(f"{cls.__name__}.residual", found, (len(arrays[0]), cls.rows), name, finite)
 
 
-def _checked(what: str, found: object, shape: tuple[int, ...], name: Namer) -> Array:
-    """Return the array if its shape is right and all is finite."""
+def _checked(what: str, found: object, shape: tuple[int, ...], name: Namer, finite: bool = True) -> Array:
+    """Return the array if its shape is right and, where asked for, all is finite."""
     array = np.asarray(found, dtype=np.float64)
     if array.shape != shape:
         raise GraphError(f"{what} must return shape {shape} for {shape[0]} instances, got {array.shape}")
-    if not np.isfinite(array).all():
+    if finite and not np.isfinite(array).all():
         bad = ~np.isfinite(array.reshape(len(array), -1)).all(axis=1)
         raise GraphError(f"{what} is not finite for {name(int(np.argmax(bad)))}")
     return array

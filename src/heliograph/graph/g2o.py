@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,7 @@ def read_pose_graph(path: Path | str) -> PoseGraphFile:
         data = path.read_bytes()
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror}); give a g2o or TORO file") from error
-    tables, rest = parse_tables(path, data)
+    tables, rest = parse_tables(path, data.removeprefix(codecs.BOM_UTF8))
     fixed, fixed_line, others = _other_lines(path, rest)
     if not tables:
         raise FormatError(path, "holds neither a vertex nor an edge; give a g2o or TORO pose graph")
@@ -122,13 +123,13 @@ def _other_lines(
     lines: list[int] = []
     kept = []
     for line, text in rest:
-        tag, *words = text.split()
+        tag, *words = text.split() or [text]
         if tag.startswith(("#", "PARAMS")):
             kept.append((line, text))
         elif tag == "FIX":
             try:
-                ids = [int(word) for word in words]
-            except ValueError:
+                ids = np.array([int(word) for word in words], dtype=np.int64).tolist()
+            except (ValueError, OverflowError):
                 raise FormatError(path, f"line {line}: '{text[:60]}' names ids that are not whole numbers") from None
             fixed += ids
             lines += [line] * len(ids)

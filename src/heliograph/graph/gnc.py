@@ -147,10 +147,7 @@ def solve_robust(
     """
     settings = settings or RobustSettings()
     known = _trusted(graph, trusted)
-    rows = np.concatenate([np.full(len(a.record), a.record.rows) for a in graph.groups()] or [np.zeros(0, np.int64)])
-    quantile = {int(r): chi_square_quantile(settings.probability, int(r)) for r in np.unique(rows)}
-    median = {int(r): chi_square_quantile(0.5, int(r)) for r in np.unique(rows)}
-    bound = np.array([quantile[int(r)] for r in rows])
+    bound, median = _quantiles(graph, settings.probability), _quantiles(graph, 0.5)
     run = Rounds(graph, values, known, settings.steps_per_round, settings.max_rounds, threads)
     run.trusted_only()
     borne = run.borne_out(bound)
@@ -158,7 +155,7 @@ def solve_robust(
     accepted = ~known & (run.squared <= bound) & (borne if borne.any() else True)
     scale = 1.0
     if accepted.sum() >= _ENOUGH:
-        scale = float(np.sqrt(np.median(run.squared[accepted] / np.array([median[int(r)] for r in rows[accepted]]))))
+        scale = float(np.sqrt(np.median(run.squared[accepted] / median[accepted])))
     threshold = bound * min(1.0, (settings.scale_margin * scale) ** 2)
     if borne.any() or threshold.sum() < bound.sum():
         run.graduate("gm", ~known, threshold, settings.step, begin=float(np.max(bound / threshold, initial=1.0)))
@@ -176,6 +173,13 @@ def solve_robust(
         iterations=run.iterations,
         start=f"{int(known.sum())} trusted factors; {int(borne.sum())} of {int((~known).sum())} others borne out",
     )
+
+
+def _quantiles(graph: FactorGraph, probability: float) -> Array:
+    """Return the chi-square quantile of every factor's rows, (N,)."""
+    rows = np.concatenate([np.full(len(a.record), a.record.rows) for a in graph.groups()] or [np.zeros(0, np.int64)])
+    kinds, which = np.unique(rows, return_inverse=True)
+    return np.array([chi_square_quantile(probability, int(r)) for r in kinds], dtype=np.float64)[which]
 
 
 def _trusted(graph: FactorGraph, trusted: ArrayLike | None) -> Mask:

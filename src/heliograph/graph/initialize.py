@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from heliograph.graph.families import FAMILIES, Family, vectors
 from heliograph.graph.linear import Anchors, Differences, connected, solve_linear
-from heliograph.graph.noise import DIAGONAL, SCALAR, Whitening
+from heliograph.graph.noise import FULL, Whitening
 from heliograph.graph.resolve import ResolvedGroup
 from heliograph.graph.values import Values
 from heliograph.lie import SE2, SE3, SO2, SO3
@@ -33,19 +33,40 @@ Mask = NDArray[np.bool_]
 _PRIOR, _BETWEEN, _LANDMARK, _POSITION = 1, 2, 5, 6  # codes of factors
 _DIMENSION = {FAMILIES[SO2]: 2, FAMILIES[SE2]: 2, FAMILIES[SO3]: 3, FAMILIES[SE3]: 3}
 _MOTIONS = (FAMILIES[SE2], FAMILIES[SE3])
+_FLAT = 1e-2  # of the volume that the size allows: below it polar factors are left to singular values
+_NEWTON = 12
+_ROUND = 1e-12  # relative difference of information along different axes that is none
 _CONSTRAINT = 1e8  # information of a hard constraint relative to its unit scale
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Measured:
-    """Measurements of one kind: dense variables (N, arity), values as arrays (N, ...), information (N, rows, rows)."""
+    """Measurements of one kind: dense variables (N, arity), values as arrays (N, ...), S (N, rows, rows)."""
 
     variables: Indices
     value: Array
-    information: Array
+    root: Array
 
     def part(self, mask: Mask) -> _Measured:
-        return _Measured(variables=self.variables[mask], value=self.value[mask], information=self.information[mask])
+        if mask.all():
+            return self
+        return _Measured(variables=self.variables[mask], value=self.value[mask], root=self.root[mask])
+
+    def turning(self, rows: int) -> Array:
+        """Return the mean information of the first `rows` rows, the rotation's, (N,)."""
+        return np.asarray(np.einsum("nab,nab->n", self.root[:, :, :rows], self.root[:, :, :rows]) / rows)
+
+    def placing(self, d: int, frame: Array | None = None) -> Array:
+        """Return the information of the last d rows, the position's, seen from turned frames: (N,) if all are round."""
+        S = self.root[:, :, -d:]
+        omega = np.einsum("nab,nac->nbc", S, S)
+        size = np.einsum("nii->n", omega) / d
+        if (np.abs(omega - size[:, None, None] * np.eye(d)).max(axis=(1, 2)) <= _ROUND * size).all():
+            return np.asarray(size)
+        if frame is None:
+            return np.asarray(omega)
+        turned = frame @ omega @ np.swapaxes(frame, 1, 2)
+        return np.asarray(0.5 * (turned + np.swapaxes(turned, 1, 2)))
 
 
 def chordal_values(
@@ -111,9 +132,35 @@ def nearest_rotations(M: Array) -> Array:
         angle = np.arctan2(M[:, 1, 0] - M[:, 0, 1], M[:, 0, 0] + M[:, 1, 1])
         c, s = np.cos(angle), np.sin(angle)
         return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
-    U, _, Vt = np.linalg.svd(M)
-    U[:, :, -1] *= np.linalg.det(U @ Vt)[:, None]
-    return np.asarray(U @ Vt)
+    R, settled = _polar(M)
+    if not settled.all():
+        U, _, Vt = np.linalg.svd(M[~settled])
+        U[:, :, -1] *= np.linalg.det(U @ Vt)[:, None]
+        R[~settled] = U @ Vt
+    return R
+
+
+def _polar(M: Array) -> tuple[Array, Mask]:
+    """Return the orthogonal polar factors (N, 3, 3), and which of them Newton's iteration has found.
+
+    It halves R plus its inverse transpose, scaled to volume one before (N. Higham, "Computing the polar
+    decomposition", SIAM J. Sci. Stat. Comput. 7, 1986): for a batch many times faster than singular values. Reflections
+    and what is nearly flat are left to those.
+    """
+    R = np.array(M)
+    scale = np.einsum("nij,nij->n", M, M) / 3.0
+    determinant = np.einsum("ni,ni->n", np.cross(R[:, 0], R[:, 1]), R[:, 2])
+    good = determinant > _FLAT * scale**1.5
+    R[~good] = np.eye(3)
+    R[good] /= np.cbrt(determinant[good])[:, None, None]
+    for _ in range(_NEWTON):
+        cofactor = np.cross(R[:, [1, 2, 0]], R[:, [2, 0, 1]])
+        volume = np.einsum("ni,ni->n", R[:, 0], cofactor[:, 0])
+        change = 0.5 * (cofactor / volume[:, None, None] - R)
+        R += change
+        if not len(R) or np.abs(change).max() < 1e-15:
+            break
+    return R, np.asarray(good & (np.abs(change).max(axis=(1, 2)) < 1e-12))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +191,7 @@ def _rotations(
     d = _DIMENSION[family]
     n, rows = len(elements), 1 if d == 2 else 3
     edges = _measured(groups, _BETWEEN, (family, family))
-    weight = np.einsum("nii->n", edges.information[:, :rows, :rows]) / rows
+    weight = edges.turning(rows)
     edges, weight = edges.part(weight > 0.0), weight[weight > 0.0]
     if not len(weight):
         return None
@@ -152,7 +199,7 @@ def _rotations(
     moved = np.zeros(n, dtype=bool)
     moved[i] = moved[j] = True
     priors = _measured(groups, _PRIOR, (family,))
-    strength = np.einsum("nii->n", priors.information[:, :rows, :rows]) / rows
+    strength = priors.turning(rows)
     useful = (strength > 0.0) & moved[priors.variables[:, 0] - first]
     priors, strength = priors.part(useful), strength[useful]
     label = connected(n, i, j)
@@ -165,7 +212,7 @@ def _rotations(
     rotation = np.swapaxes(edges.value[:, :d, :d], 1, 2)
     x = solve_linear(
         len(used),
-        Differences(i=place[i], j=place[j], F=rotation, u=np.zeros((len(i), d, d)), weight=weight),
+        Differences(i=place[i], j=place[j], F=rotation, u=None, columns=d, weight=weight),
         Anchors(
             at=place[priors.variables[:, 0] - first],
             value=np.swapaxes(priors.value[:, :d, :d], 1, 2),
@@ -250,7 +297,9 @@ def _translations(
     order = np.cumsum(known) - 1
     x = solve_linear(
         int(known.sum()),
-        Differences(i=order[i], j=order[j], F=np.tile(np.eye(d), (len(i), 1, 1)), u=u[:, :, None], weight=weight),
+        Differences(
+            i=order[i], j=order[j], F=np.tile(np.eye(d), (len(i), 1, 1)), u=u[:, :, None], columns=1, weight=weight
+        ),
         Anchors(at=order[at], value=value[:, :, None], weight=strength),
         _held_at(order[held], given[held][:, :, None]),
         threads=scene.threads,
@@ -271,48 +320,41 @@ def _relative(scene: _Scene, R: Array) -> tuple[Indices, Indices, Array, Array]:
     i, j = (edges.variables - scene.pose_first).T
     seen = _measured(scene.groups, _LANDMARK, (scene.family, vectors(d)))
     look, point = seen.variables[:, 0] - scene.pose_first, seen.variables[:, 1] - scene.point_first + n
-    k = len(edges.information[0]) - d if len(edges.information) else 0
     frame = R[i] @ edges.value[:, :d, :d]  # in which the residual of a between factor counts
     u = np.concatenate([(R[i] @ edges.value[:, :d, d:])[..., 0], (R[look] @ seen.value[:, :, None])[..., 0]])
-    weight = np.concatenate(
-        [
-            frame @ edges.information[:, k:, k:] @ np.swapaxes(frame, 1, 2),
-            R[look] @ seen.information @ np.swapaxes(R[look], 1, 2),
-        ]
-    )
+    weight = _joined([edges.placing(d, frame), seen.placing(d, R[look])], d)
     i, j = np.concatenate([i, look]), np.concatenate([j, point])
-    useful = np.einsum("nii->n", weight) > 0.0
-    return i[useful], j[useful], u[useful], 0.5 * (weight + np.swapaxes(weight, 1, 2))[useful]
+    useful = _size(weight) > 0.0
+    return (i, j, u, weight) if useful.all() else (i[useful], j[useful], u[useful], weight[useful])
+
+
+def _size(weight: Array) -> Array:
+    return weight if weight.ndim == 1 else np.einsum("nii->n", weight)
+
+
+def _joined(weights: list[Array], d: int) -> Array:
+    """Return information as (N,) if all parts are round, else (N, d, d)."""
+    if all(weight.ndim == 1 for weight in weights):
+        return np.concatenate(weights)
+    return np.concatenate([w[:, None, None] * np.eye(d) if w.ndim == 1 else w for w in weights])
 
 
 def _absolute(scene: _Scene, positions: _Measured, known: Mask, n: int) -> tuple[Indices, Array, Array]:
     """Return where (A,), what (A, d) and information (A, d, d) of measured positions, in the world."""
     d = _DIMENSION[scene.family]
     priors = _measured(scene.groups, _PRIOR, (scene.family,))
-    k = scene.family.dof - d
-    frame = priors.value[:, :d, :d]
-    parts = [
-        (
-            priors.variables[:, 0] - scene.pose_first,
-            priors.value[:, :d, d],
-            _turned(frame, priors.information[:, k:, k:]),
-        ),
-        (positions.variables[:, 0] - scene.pose_first, positions.value, positions.information),
+    sources = [
+        (priors.variables[:, 0] - scene.pose_first, priors.value[:, :d, d], priors.placing(d, priors.value[:, :d, :d])),
+        (positions.variables[:, 0] - scene.pose_first, positions.value, positions.placing(d)),
     ]
     for code in (_PRIOR, _POSITION):
         own = _measured(scene.groups, code, (vectors(d),))
-        parts.append((own.variables[:, 0] - scene.point_first + n, own.value, own.information))
-    at = np.concatenate([part[0] for part in parts])
-    value = np.concatenate([part[1] for part in parts])
-    weight = np.concatenate([part[2] for part in parts])
-    useful = np.zeros(len(at), dtype=bool)
-    useful[:] = known[at] & (np.einsum("nii->n", weight) > 0.0)
+        sources.append((own.variables[:, 0] - scene.point_first + n, own.value, own.placing(d)))
+    at = np.concatenate([source[0] for source in sources])
+    value = np.concatenate([source[1] for source in sources])
+    weight = _joined([source[2] for source in sources], d)
+    useful = known[at] & (_size(weight) > 0.0)
     return at[useful], value[useful], weight[useful]
-
-
-def _turned(frame: Array, information: Array) -> Array:
-    out = frame @ information @ np.swapaxes(frame, 1, 2)
-    return np.asarray(0.5 * (out + np.swapaxes(out, 1, 2)))
 
 
 def _held_slice(scene: _Scene, first: int, count: int) -> Mask:
@@ -325,33 +367,31 @@ def _held_at(at: Indices, value: Array) -> Anchors:
 
 def _measured(groups: Sequence[ResolvedGroup], code: int, families: tuple[Family, ...]) -> _Measured:
     """Return all measurements of a type of factor on variables of these families, in the order of the groups."""
-    variables, value, information = [], [], []
     measured = families[-1] if code in (_PRIOR, _BETWEEN) else vectors(_DIMENSION.get(families[0], families[0].dof))
-    for group in groups:
-        if group.code == code and group.families == families:
-            variables.append(group.variables.astype(np.int64))
-            value.append(measured.elements(group.measurement))
-            information.append(whitened_information(group.noise, group.rows, len(group.variables)))
-    if not variables:
-        rows = measured.dof
+    mine = [group for group in groups if group.code == code and group.families == families]
+    if not mine:
         return _Measured(
             variables=np.zeros((0, len(families)), dtype=np.int64),
             value=np.zeros((0, *measured.shape)),
-            information=np.zeros((0, rows, rows)),
+            root=np.zeros((0, measured.dof, measured.dof)),
         )
     return _Measured(
-        variables=np.concatenate(variables), value=np.concatenate(value), information=np.concatenate(information)
+        variables=np.concatenate([group.variables for group in mine]).astype(np.int64),
+        value=np.concatenate([measured.elements(group.measurement) for group in mine]),
+        root=np.concatenate([_roots(group.noise, group.rows, len(group.variables)) for group in mine]),
     )
+
+
+def _roots(noise: Whitening, rows: int, count: int) -> Array:
+    """Return the S of every factor as matrices, (count, rows, rows)."""
+    S = noise.sqrt_information
+    S = S.reshape(-1, rows, rows) if noise.form == FULL else S[:, :, None] * np.eye(rows)
+    if noise.constrained:
+        S = np.sqrt(_CONSTRAINT) * S
+    return np.broadcast_to(S, (count, rows, rows))
 
 
 def whitened_information(noise: Whitening, rows: int, count: int) -> Array:
     """Return ``S' S`` of every factor, (count, rows, rows)."""
-    root = noise.sqrt_information
-    if noise.form in (SCALAR, DIAGONAL):
-        omega = root[:, :, None] ** 2 * np.eye(rows)
-    else:
-        S = root.reshape(-1, rows, rows)
-        omega = np.swapaxes(S, 1, 2) @ S
-    if noise.constrained:
-        omega = _CONSTRAINT * omega
-    return np.broadcast_to(omega, (count, rows, rows))
+    S = _roots(noise, rows, count)
+    return np.asarray(np.swapaxes(S, 1, 2) @ S)

@@ -34,7 +34,7 @@ def levenberg_marquardt(problem: Problem, settings: SolverSettings, cost: Cost, 
     Nielsen's (1999). The gain ratio divides the decrease of the true robust cost by that of the quadratic model.
     """
     trace = Trace(observe)
-    damping, growth = settings.initial_damping, _GROWTH
+    damping, growth, promised = settings.initial_damping, _GROWTH, 0.0
     while len(trace.steps) < settings.max_iterations:
         used, decrease, predicted = damping, 0.0, 0.0
         small = max(settings.relative_decrease * cost.cost, settings.absolute_decrease)
@@ -52,13 +52,14 @@ def levenberg_marquardt(problem: Problem, settings: SolverSettings, cost: Cost, 
             growth = _GROWTH
         else:
             damping, growth = max(damping, settings.initial_damping) * growth, _GROWTH * growth
+        promised = 0.0 if accepted else max(promised, predicted)  # by the boldest of the steps rejected since
         trace.record(cost, accepted=accepted, gain_ratio=gain, damping=used)
         if key is None and used <= _UNDAMPED and (decrease if accepted else predicted) <= small:
             return trace.minimum("converged", cost)
         if damping > settings.max_damping:
             if key is not None:
                 return trace.minimum("indefinite", cost, key)
-            return trace.minimum("converged" if predicted <= small else "stalled", cost)
+            return trace.minimum("converged" if promised <= small else "stalled", cost)
         if accepted:
             problem.linearize()
     return trace.minimum("max_iterations", cost)

@@ -123,10 +123,10 @@ class Noise:
             raise GraphError(
                 f"{name(0)}: {type(self).__name__} is given for {len(stack)} factors, but there are {count}"
             )
-        bad = ~np.isfinite(stack.reshape(len(stack), -1)).all(axis=1)
+        bad = ~np.isfinite(stack.reshape(len(stack), rows**self.core)).all(axis=1)
         if bad.any():
             raise GraphError(f"{name(_first(bad))}: its noise is not finite: {type(self).__name__}")
-        return np.ascontiguousarray(self._roots(stack, name).reshape(len(stack), -1))
+        return np.ascontiguousarray(self._roots(stack, name).reshape(len(stack), rows**self.core))
 
     def whitening(self, rows: int, count: int, name: Namer = _name) -> Whitening:
         """Return the S of every factor in the simplest form that holds it; errors as in `sqrt_information`."""

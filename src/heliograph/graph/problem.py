@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
-from heliograph.errors import GraphError, UnderconstrainedError
+from heliograph.errors import GraphError
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.families import Family
 from heliograph.graph.resolve import ResolvedGroup, resolve, resolve_fixed
@@ -164,10 +164,11 @@ class Problem:
     def cost(self, *, candidate: bool = False) -> Cost:
         """Return the costs at the present values, or at the candidate's."""
         if self._custom:
-            self._evaluate(self.native.candidate() if candidate else self.native.values(), with_jacobians=False)
+            flat = self.native.candidate() if candidate else self.native.values()
+            self._evaluate(flat, with_jacobians=False, finite=not candidate)
         return Cost(*self.native.cost(candidate, self.threads))
 
-    def _evaluate(self, flat: Array, *, with_jacobians: bool) -> None:
+    def _evaluate(self, flat: Array, *, with_jacobians: bool, finite: bool = True) -> None:
         blocks = self._blocks(flat)
         stacked = [family.elements(block) for family, block in zip(self.families, blocks, strict=True)]
         for custom in self._custom:
@@ -181,7 +182,7 @@ class Problem:
             if with_jacobians:
                 residual, jacobians = factor.evaluate(arrays, custom.group.data, name=name)
             else:
-                residual, jacobians = factor.residuals(arrays, custom.group.data, name=name), []
+                residual, jacobians = factor.residuals(arrays, custom.group.data, name=name, finite=finite), []
             contiguous = [np.ascontiguousarray(J) for J in jacobians]
             self.native.set_custom(custom.index, np.ascontiguousarray(residual), contiguous)
 
@@ -218,9 +219,3 @@ class Problem:
         raise GraphError(
             f"the cost is {cost.cost} although every residual is finite: the residuals are too large to square"
         )
-
-    def require_determined(self) -> None:
-        """Factorise without damping, or say which variables the graph leaves free."""
-        key = self.factorize(0.0, 0.0)
-        if key is not None:
-            raise UnderconstrainedError(f"the graph does not determine variable {key}")

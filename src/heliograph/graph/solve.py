@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TypeAlias
+from dataclasses import replace
+from typing import NamedTuple, TypeAlias
 
 from heliograph.errors import ConfigError, GraphError, closest
 from heliograph.graph.constraints import minimize_constrained
+from heliograph.graph.diagnosis import require_determined, require_solved
 from heliograph.graph.dogleg import dogleg
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.gauss_newton import gauss_newton
@@ -16,7 +18,7 @@ from heliograph.graph.outcome import Iteration, Minimum, Observer
 from heliograph.graph.problem import Cost, Problem
 from heliograph.graph.settings import SolverSettings
 from heliograph.graph.solution import Solution
-from heliograph.graph.start import choose_start, second_start
+from heliograph.graph.start import Start, choose_start, second_start
 from heliograph.graph.values import Values
 
 __all__ = ["METHODS", "solve"]
@@ -77,23 +79,12 @@ def solve(
     first = problem.linearize()
     problem.check_finite(first)
     clock.lap("iterate")
-    start = choose_start(problem, values, initial, first)
-    clock.lap("start")
-    minimize, observe = METHODS[method], observer or _ignore
-    constrained = any(group.constrained for group in problem.groups)
-    if constrained:
-        minimize = _with_constraints(minimize)
-    found = minimize(problem, settings, start.cost, observe)
-    clock.lap("iterate")
-    steps = found.iterations
-    doubt = initial == "auto" and start.cost is first and not constrained
-    again = second_start(problem, values, found) if doubt else None
-    clock.lap("start")
-    if again is not None:
-        start = again
-        found = minimize(problem, settings, start.cost, observe)
-        steps += found.iterations
-        clock.lap("iterate")
+    before = require_determined(problem)
+    clock.lap("diagnose")
+    run = _Run(METHODS[method], settings, observer or _ignore, clock)
+    start, found, steps = _search(problem, values, initial, first, run)
+    diagnosis = require_solved(problem, before=before, failed=found.status == "indefinite")
+    clock.lap("diagnose")
     return Solution(
         values=problem.values(),
         status=found.status,
@@ -107,8 +98,40 @@ def solve(
         start=start.text,
         steps=steps,
         seconds=clock.seconds(),
+        diagnosis=diagnosis,
         plan=problem.native.plan(),
     )
+
+
+class _Run(NamedTuple):
+    """What a search is made with."""
+
+    minimize: Minimizer
+    settings: SolverSettings
+    observe: Observer
+    clock: _Clock
+
+
+def _search(
+    problem: Problem, values: Values, initial: str, first: Cost, run: _Run
+) -> tuple[Start, Minimum, tuple[Iteration, ...]]:
+    """Minimise from the start that is chosen, and once more where the end says that it was the wrong one."""
+    start = choose_start(problem, values, initial, first)
+    run.clock.lap("start")
+    constrained = any(group.constrained for group in problem.groups)
+    minimize = _with_constraints(run.minimize) if constrained else run.minimize
+    found = minimize(problem, run.settings, start.cost, run.observe)
+    run.clock.lap("iterate")
+    steps = found.iterations
+    doubt = initial == "auto" and start.cost is first and not constrained
+    again = second_start(problem, values, found) if doubt else None
+    run.clock.lap("start")
+    if again is not None:
+        start = again
+        found = minimize(problem, run.settings, start.cost, run.observe)
+        steps += tuple(replace(step, number=step.number + len(steps)) for step in found.iterations)
+        run.clock.lap("iterate")
+    return start, found, steps
 
 
 def _with_constraints(minimize: Minimizer) -> Minimizer:

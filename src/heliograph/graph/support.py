@@ -71,8 +71,8 @@ def agreeing(
     swap = doubtful.i > doubtful.j
     a, b = np.minimum(doubtful.i, doubtful.j), np.maximum(doubtful.i, doubtful.j)
     Z = np.where(swap[:, None, None], ops.inverse(doubtful.T_i_j), doubtful.T_i_j)
-    # Information follows the frame: the residual of the inverse is turned by the adjoint of the measurement.
-    Ad = ops.adjoint(ops.inverse(Z))
+    # Log(Z X^-1) = -Ad(Z) Log(Z^-1 X): the residual of a measurement turned round, hence its information.
+    Ad = ops.adjoint(Z)
     turned = np.swapaxes(Ad, 1, 2) @ doubtful.information @ Ad
     omega = np.where(swap[:, None, None], turned, doubtful.information)
     step = np.linalg.pinv(np.median(trusted.information, axis=0), hermitian=True)

@@ -18,6 +18,7 @@ __all__ = ["Table", "as_kind", "first_indefinite", "parse_tables", "written"]
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_EXACT = 2.0**53  # up to here a double holds every whole number
 _NO_INTEGER = np.iinfo(np.int64).min
 _PSD_TOLERANCE = 1e-9  # of the largest eigenvalue: what rounding the file's digits may do to a singular matrix
 
@@ -168,6 +169,8 @@ def _table(path: Path, kind: RowKind, line: Ints, integers: Ints, first: Ints, r
     if (ids == _NO_INTEGER).any():
         k = int(np.argmax((ids == _NO_INTEGER).any(axis=1)))
         raise FormatError(path, f"line {line[k]}: an id of {kind.tag} is not a whole number of 64 bits; renumber it")
+    if kind.parameter and ((np.abs(values[:, kind.ids]) > _EXACT) | (values[:, kind.ids] % 1.0 != 0.0)).any():
+        raise FormatError(path, f"line {line[0]} or a later one: an offset's id of {kind.tag} is not a whole number")
     start = kind.ids + int(kind.parameter)
     table = Table(
         kind=kind,

@@ -101,9 +101,9 @@ def manhattan(
     heading = np.repeat(np.cumsum(turns) % 4, block)[: poses - 1]
     axis, sign = heading % 2, 1 - 2 * (heading // 2)
     moves = np.where(axis[:, None] == np.arange(2), sign[:, None], 0)
-    cells = _folded(moves, side)
+    cells = _folded(moves, np.array([side, side]))
     R = so2.exp(np.array([0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi])[_direction(cells)][:, None])
-    i, j = _loops(cells, side, loops, rng)
+    i, j = _loops(cells, loops, rng)
     truth = _from_first(SE2.from_rotation_translation(R, step * cells.astype(np.float64)))
     return _measured(truth, i, j, sigmas, rng)
 
@@ -119,25 +119,37 @@ def grid_walk(
     poses: int,
     rng: np.random.Generator,
     *,
+    levels: int | None = None,
     visits: float = 4.0,
     loops: float = 0.56,
     sigmas: tuple[float, float] = (0.01, 0.02),
 ) -> World:
-    """Return a walk along the lines of a cubic grid of 1 m in space; arguments as for `manhattan`.
+    """Return a walk along the lines of a grid of 1 m in space; arguments as for `manhattan`.
 
     The axis of motion changes with chance 2/3 at every step; the body looks along it.
+
+    Parameters
+    ----------
+    levels : int, optional
+        Cells along z, as in a building of so many floors; a cube without. To eliminate a cube of n poses takes work of
+        order n^2 whatever the solver, for every cut through it is a face; a building grows as a city does.
     """
     _check(poses, sigmas)
-    side = max(int(np.ceil(np.cbrt(poses / visits))) - 1, 1)
+    if levels is not None and levels < 2:
+        raise ConfigError(f"a walk in space needs at least 2 levels, not {levels}; use manhattan for one")
+    cells_wanted = poses / visits
+    across = np.cbrt(cells_wanted) if levels is None else np.sqrt(cells_wanted / levels)
+    side = max(int(np.ceil(across)) - 1, 1)
+    sides = np.array([side, side, side if levels is None else levels - 1])
     change = rng.integers(0, 3, size=poses - 1)
     change[0] = 0
     axis = np.cumsum(change) % 3
     # The sense of motion is drawn where the axis changes and kept until it does again.
     chosen = np.maximum.accumulate(np.where(change > 0, np.arange(poses - 1), 0))
     sign = (2 * rng.integers(0, 2, size=poses - 1) - 1)[chosen]
-    cells = _folded(np.where(axis[:, None] == np.arange(3), sign[:, None], 0), side)
+    cells = _folded(np.where(axis[:, None] == np.arange(3), sign[:, None], 0), sides)
     R = _LOOKING[_direction(cells)]
-    i, j = _loops(cells, side, loops, rng)
+    i, j = _loops(cells, loops, rng)
     truth = _from_first(SE3.from_rotation_translation(R, cells.astype(np.float64)))
     return _measured(truth, i, j, sigmas, rng)
 
@@ -213,8 +225,8 @@ def _check(poses: int, sigmas: tuple[float, float]) -> None:
         raise ConfigError(f"sigmas {sigmas} must be positive: the information is their inverse square")
 
 
-def _folded(moves: Ints, side: int) -> Ints:
-    """Return the cells of a walk that is thrown back at the edges of [0, side] along each axis."""
+def _folded(moves: Ints, side: Ints) -> Ints:
+    """Return the cells of a walk that is thrown back at the edges of [0, side] along each axis, side (d,)."""
     start = np.zeros((1, moves.shape[1]), dtype=np.int64)
     free = np.concatenate([start, np.cumsum(moves, axis=0)])
     return np.asarray(side - np.abs(free % (2 * side) - side))
@@ -240,19 +252,19 @@ _LOOKING = np.stack(
 )
 
 
-def _loops(cells: Ints, side: int, per_pose: float, rng: np.random.Generator) -> tuple[Ints, Ints]:
+def _loops(cells: Ints, per_pose: float, rng: np.random.Generator) -> tuple[Ints, Ints]:
     """Return loops (earlier, later): each to the last visit of the same cell or of a neighbouring one."""
     n, d = cells.shape
     offset = np.zeros((n, d), dtype=np.int64)
     near = np.flatnonzero(rng.random(n) < 0.5)
     offset[near, rng.integers(0, d, size=len(near))] = 2 * rng.integers(0, 2, size=len(near)) - 1
-    weights = (side + 3) ** np.arange(d)
+    weights = (int(cells.max()) + 3) ** np.arange(d)
     place = (cells + 1) @ weights
     # Visits sorted by place, then time: the last one before a time is found by bisection.
     visits = np.sort(place * n + np.arange(n))
     wanted = (cells + offset + 1) @ weights
     found = visits[np.searchsorted(visits, wanted * n + np.arange(n) - _RECENT) - 1]
-    later = np.flatnonzero((found // n == wanted) & (found % n + _RECENT < np.arange(n)))
+    later = np.flatnonzero(found // n == wanted)
     count = min(round(per_pose * n), len(later))
     later = np.sort(rng.choice(later, size=count, replace=False))
     return found[later] % n, later

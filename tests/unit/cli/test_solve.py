@@ -55,7 +55,7 @@ def test_solve_tells_in_a_few_lines(call, city):
     assert (code, err) == (0, "")
     lines = out.splitlines()
     assert lines[0] == f"120 poses in the plane, {119 + city.loops} edges, 1 held"
-    assert lines[1].startswith("start: file")
+    assert lines[1] == "start: file"
     assert lines[2].startswith("chi2 ") and "a degree of freedom" in lines[2]
     assert "Levenberg-Marquardt" in lines[3]
     assert lines[-1] == "status: converged"

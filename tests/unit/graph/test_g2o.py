@@ -177,6 +177,8 @@ E = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
         (E + "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "line 2: VERTEX_SE3:QUAT has 3 dimensions"),
         (E + "FIX 5\n", "line 2: FIX names id 5"),
         (E + "FIX a\n", "line 2: 'FIX a'"),
+        (E + "FIX 99999999999999999999\n", "line 2: 'FIX 9+'"),
+        ("EDGE_SE3_TRACKXYZ 0 1 4.5 1 2 3 1 0 0 1 0 1\n", "line 1 .* an offset's id"),
         ("\n\n# nothing\n", "holds neither a vertex nor an edge"),
         ("", "holds neither a vertex nor an edge"),
         (
@@ -199,6 +201,29 @@ def test_windows_lines_tabs_and_no_last_newline(read):
     graph = read("VERTEX_SE2\t0 +1 2. .5e1\r\n\r\n  " + E.strip())
     assert graph.tables[0].numbers.tolist() == [[1.0, 2.0, 5.0]]
     assert len(graph.edges[0]) == 1
+
+
+def test_byte_order_mark_is_no_tag(read, tmp_path):
+    assert len(read("\ufeff" + E).edges[0]) == 1
+
+
+def test_spoilt_bytes_give_a_graph_or_a_format_error(tmp_path, rng):
+    space = "VERTEX_SE3:QUAT 3 0 0 0 0 0 0 1\nPARAMS_SE3OFFSET 4 0 0 0 0 0 0 1\n"
+    space += "EDGE_SE3_TRACKXYZ 3 1 4 1 2 3 1 0 0 1 0 1\n" + "VERTEX_TRACKXYZ 1 2 3 4\n"
+    path, refused = tmp_path / "in.g2o", 0
+    for text in (PLANE, space):
+        for _ in range(300):
+            data = bytearray(text.encode())
+            for at in rng.integers(0, len(data), size=rng.integers(1, 4)):
+                data[at] = rng.choice([rng.integers(0, 256), *b" \n-.e+#0"])
+            cut = rng.integers(0, len(data)) if rng.random() < 0.3 else len(data)
+            path.write_bytes(data[:cut])
+            try:
+                graph = read_pose_graph(path)
+                graph.gauge_ids, graph.edges, graph.missing_ids  # noqa: B018
+            except FormatError:
+                refused += 1
+    assert 100 < refused < 600
 
 
 def test_identity_offset_is_taken_and_kept(read, tmp_path):

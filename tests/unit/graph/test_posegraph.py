@@ -4,7 +4,20 @@ import numpy as np
 import pytest
 
 from heliograph.errors import GraphError
-from heliograph.graph import Between, FactorGraph, Huber, Isotropic, Position, Prior, Range, Values
+from heliograph.graph import (
+    Between,
+    Covariance,
+    Diagonal,
+    FactorGraph,
+    Huber,
+    Information,
+    Isotropic,
+    Position,
+    Prior,
+    Range,
+    SquareRoot,
+    Values,
+)
 from heliograph.graph.g2o import read_pose_graph, write_g2o
 from heliograph.graph.posegraph import PoseGraphFile
 from heliograph.graph.posegraph_of import pose_graph_of
@@ -122,6 +135,24 @@ def test_factor_graph_goes_into_a_file_and_back(group, rng, tmp_path):
         np.testing.assert_allclose(two.whitening.sqrt_information, one.whitening.sqrt_information)
     np.testing.assert_allclose(file.values().block(group)[1].matrix, values.block(group)[1].matrix, atol=1e-15)
     assert file.values().at(100).tolist() == values.at(100).tolist()
+
+
+def test_noise_of_every_kind_becomes_its_information(rng):
+    S = rng.normal(size=(2, 3, 3)) + 2.0 * np.eye(3)
+    omega = np.swapaxes(S, 1, 2) @ S
+    sigmas = rng.uniform(1.0, 2.0, 3)
+    values = Values()
+    values.insert([0, 1], SE2.identity((2,)))
+    for noise, want in (
+        (SquareRoot(S), omega),
+        (Information(omega), omega),
+        (Covariance(np.linalg.inv(omega)), omega),
+        (Diagonal(sigmas), [np.diag(sigmas**-2)] * 2),
+        (Isotropic([0.5, 0.25]), [4.0 * np.eye(3), 16.0 * np.eye(3)]),
+    ):
+        graph = FactorGraph()
+        graph.add(Between([0, 1], [1, 0], SE2.identity((2,)), noise))
+        np.testing.assert_allclose(pose_graph_of(graph, values).tables[-1].information, want, rtol=1e-9, atol=1e-9)
 
 
 def test_what_a_file_has_no_word_for_is_refused(rng):

@@ -110,7 +110,7 @@ def _opened(record):
         ("M3500", 137.915, False),
         ("intel", 45.0042, False),
         ("kitti_00", 98.3221, False),
-        ("sphere2500", 1351.40, False),
+        ("sphere2500", 1351.40, True),
         ("parking-garage", 1.26838, False),
     ],
 )

@@ -70,6 +70,15 @@ def test_city_grows_with_the_walk_not_denser():
     assert density(100_000) == pytest.approx(density(3_500), rel=0.35)
 
 
+def test_a_building_has_floors_and_grows_sideways(rng):
+    p = np.round(grid_walk(20_000, rng, levels=4).truth.translation).astype(int)
+    assert np.ptp(p, axis=0).tolist() == [35, 35, 3]
+    tall = np.round(grid_walk(5000, rng, levels=400, visits=1.0).truth.translation).astype(int)
+    assert np.ptp(tall, axis=0)[2] > 10 > np.ptp(tall, axis=0)[0]
+    with pytest.raises(ConfigError, match="2 levels"):
+        grid_walk(100, rng, levels=1)
+
+
 def test_drive_has_few_loops(rng):
     world = drive(4541, rng)
     assert world.loops == 137
