@@ -26,6 +26,7 @@ from heliograph.graph import (
 )
 from heliograph.graph import diagnosis as module
 from heliograph.lie import S2, SE2, SE3, SO3, ExtendedPose, se2, se3
+from reference.nullity import nullity
 
 METHODS = ("gn", "lm", "dogleg")
 
@@ -466,3 +467,48 @@ def test_bad_graphs_are_named_in_one_line():
         assert "\n" not in str(error.value)
     with pytest.raises(GraphError, match="key 1 is used twice"):
         values.insert(1, [0.0])
+
+
+def random_graph(rng):
+    """Poses, points and numbers, joined by a few factors of many kinds: mostly undetermined."""
+    graph, values = FactorGraph(), Values()
+    T, points = SE3.exp(rng.normal(size=(6, 6))).matrix, 5 * rng.normal(size=(5, 3))
+    values.insert(np.arange(6), SE3(T))
+    values.insert(10 + np.arange(5), points)
+    values.insert(20 + np.arange(3), rng.normal(size=(3, 2)))
+    for _ in range(rng.integers(4, 14)):
+        i, j = rng.choice(6, 2, replace=False)
+        p = rng.integers(5)
+        masked = np.diag((rng.random(6) < 0.8).astype(float))
+        seen = (se3.inverse(T[i]) @ np.r_[points[p], 1.0])[:3]
+        kind = rng.integers(7)
+        if kind == 0:
+            graph.add(Between(i, j, SE3(se3.inverse(T[i]) @ T[j]), Information(masked)))
+        elif kind == 1:
+            graph.add(Between(i, j, SE3(se3.inverse(T[i]) @ T[j]), Isotropic(0.1)))
+        elif kind == 2:
+            graph.add(Landmark(i, 10 + p, seen, Information(masked[:3, :3])))
+        elif kind == 3:
+            graph.add(Bearing(i, 10 + p, S2(seen / np.linalg.norm(seen)), Isotropic(0.1)))
+        elif kind == 4:
+            graph.add(Range(i, 10 + p, np.linalg.norm(seen), Isotropic(0.1)))
+        elif kind == 5:
+            graph.add(Position(i, T[i, :3, 3], Information(masked[:3, :3])))
+        else:
+            a, b = 20 + rng.choice(3, 2, replace=False)
+            graph.add(LinearMotion(a, b, rng.normal(size=(2, 2)), [0.0, 0.0], Information(masked[:2, :2])))
+    graph.fix(rng.choice([0, 1, 10, 20], rng.integers(0, 3), replace=False))
+    return graph, values
+
+
+@pytest.mark.parametrize("columns", [48, 7])
+def test_freedom_is_counted_as_singular_values_count_it(monkeypatch, columns):
+    monkeypatch.setattr(module, "_MOST_COLUMNS", columns)
+    wrong = []
+    for seed in range(150):
+        graph, values = random_graph(np.random.default_rng(seed))
+        found = diagnose(graph, values)
+        scalars, expected = sum(motion.scalars for motion in found.free), nullity(graph, values)
+        if scalars != expected and (columns == 48 or (scalars == 0) != (expected == 0)):
+            wrong.append((seed, scalars, expected))
+    assert not wrong
