@@ -10,6 +10,7 @@ NB_MODULE(_core, m) {
   heliograph::bind_graph_files(m);
   heliograph::bind_graph_ordering(m);
   heliograph::bind_graph_factors(m);
+  heliograph::bind_graph_tree(m);
   heliograph::bind_imu(m);
   heliograph::bind_io(m);
   heliograph::bind_lie(m);
