@@ -46,9 +46,11 @@ nb::ndarray<nb::numpy, T, Extra...> to_numpy(std::vector<T>&& values, std::initi
 
 void bind_cloud(nb::module_& m);
 void bind_graph_problem(nb::module_& m);
+void bind_graph_diagnosis(nb::module_& m);
 void bind_graph_files(nb::module_& m);
 void bind_graph_ordering(nb::module_& m);
 void bind_graph_factors(nb::module_& m);
+void bind_graph_tree(nb::module_& m);
 void bind_imu(nb::module_& m);
 void bind_io(nb::module_& m);
 void bind_lie(nb::module_& m);

@@ -6,9 +6,11 @@ NB_MODULE(_core, m) {
   m.doc() = "Native kernels of Heliograph; private, wrapped by the Python rooms.";
   heliograph::bind_cloud(m);
   heliograph::bind_graph_problem(m);
+  heliograph::bind_graph_diagnosis(m);
   heliograph::bind_graph_files(m);
   heliograph::bind_graph_ordering(m);
   heliograph::bind_graph_factors(m);
+  heliograph::bind_graph_tree(m);
   heliograph::bind_imu(m);
   heliograph::bind_io(m);
   heliograph::bind_lie(m);

@@ -226,26 +226,40 @@ int factor_pivots(double* f, int64_t ld, int pivots, int height, double* scratch
   return -1;
 }
 
-// A child's remainder added to its parent's pivot columns and remainder.
-void extend_add(const FrontView& child, const double* from, const FrontView& parent, double* pivots, double* update,
+// A front's storage by column: pivot columns, then those of the remainder, rows counted from the first pivot.
+struct FrontColumns {
+  double* pivots;
+  double* update;
+  int32_t count;  // of pivots
+  int64_t height, update_height;
+  int64_t distance(int32_t column) const { return column < count ? height : update_height; }
+  double* operator[](int32_t column) const {
+    return column < count ? pivots + column * height : update + (column - count) * update_height - count;
+  }
+};
+
+// A child's remainder added to its parent. Its rows stand in the order of its own elimination, which after a reordering need
+// not be the parent's: a pair that has changed sides is added transposed.
+void extend_add(const FrontView& child, const double* from, const FrontColumns& parent, int32_t parent_gradient,
                 const RunView* runs) {
   const int count = child.runs;
-  const int gradient = child.rows;
   for (int a = 0; a < count; ++a) {
     for (int i = 0; i < runs[a].count; ++i) {
-      const int column = runs[a].to + i;
+      const int32_t column = runs[a].to + i;
       const double* source = from + static_cast<int64_t>(runs[a].from + i) * child.update_height;
-      const bool pivot = column < parent.pivots;
-      double* to = pivot ? pivots + static_cast<int64_t>(column) * parent.height
-                         : update + static_cast<int64_t>(column - parent.pivots) * parent.update_height - parent.pivots;
+      double* to = parent[column];
       for (int r = i; r < runs[a].count; ++r) to[runs[a].to + r] += source[runs[a].from + r];
       for (int b = a + 1; b < count; ++b) {
         const double* s = source + runs[b].from;
-        double* t = to + runs[b].to;
         const int n = runs[b].count;
-        for (int r = 0; r < n; ++r) t[r] += s[r];
+        if (runs[b].to > runs[a].to) {
+          double* t = to + runs[b].to;
+          for (int r = 0; r < n; ++r) t[r] += s[r];
+        } else {
+          for (int r = 0; r < n; ++r) parent[runs[b].to + r][column] += s[r];
+        }
       }
-      to[parent.pivots + parent.rows] += source[gradient];
+      to[parent_gradient] += source[child.rows];
     }
   }
 }
@@ -261,11 +275,12 @@ inline void add_block(double* to, int64_t ld, const double* from, bool row_major
   }
 }
 
-void add_blocks(double* f, int64_t ld, const BlockView* parts, int64_t count) {
+void add_blocks(const FrontColumns& columns, const BlockView* parts, int64_t count) {
   for (int64_t i = 0; i < count; ++i) {
     const BlockView& part = parts[i];
     const double* from = part.source;
-    double* to = f + static_cast<int64_t>(part.column) * ld + part.row;
+    double* to = columns[part.column] + part.row;
+    const int64_t ld = columns.distance(part.column);
     const bool row_major = part.transposed != 0;
     if (part.rows == 3 && part.columns == 3) {
       add_block<3, 3>(to, ld, from, row_major);
@@ -285,10 +300,15 @@ int eliminate(const PlanView& plan, int32_t index, const Assembly& in, double* f
   const int64_t ld = front.height;
   const int gradient = front.pivots + front.rows;
   std::memset(f, 0, sizeof(double) * static_cast<size_t>(ld) * static_cast<size_t>(front.pivots));
-  add_blocks(f, ld, plan.blocks + front.block_begin, front.block_end - front.block_begin);
+  double* update = updates[index];
+  const int update_columns = front.rows;
+  if (update_columns > 0)
+    std::memset(update, 0, sizeof(double) * static_cast<size_t>(front.update_height) * static_cast<size_t>(update_columns));
+  const FrontColumns columns{f, update, front.pivots, front.height, front.update_height};
+  add_blocks(columns, plan.blocks + front.block_begin, front.block_end - front.block_begin);
   for (int64_t i = front.gradient_begin; i < front.gradient_end; ++i) {
     const GradientView& part = plan.gradients[i];
-    for (int c = 0; c < part.count; ++c) f[(part.column + c) * ld + gradient] += part.source[c];
+    for (int c = 0; c < part.count; ++c) columns[part.column + c][gradient] += part.source[c];
   }
   for (int c = 0; c < front.pivots; ++c) {
     const double diagonal = f[c * ld + c];
@@ -296,13 +316,9 @@ int eliminate(const PlanView& plan, int32_t index, const Assembly& in, double* f
     const double clamped = diagonal < in.damping_floor ? in.damping_floor : diagonal;
     f[c * ld + c] = diagonal + in.damping * clamped;
   }
-  double* update = updates[index];
-  const int update_columns = front.rows;
-  if (update_columns > 0)
-    std::memset(update, 0, sizeof(double) * static_cast<size_t>(front.update_height) * static_cast<size_t>(update_columns));
   for (int32_t i = front.child_begin; i < front.child_end; ++i) {
     const int32_t child = plan.children[i];
-    extend_add(plan.fronts[child], updates[child], front, f, update, plan.runs + plan.fronts[child].run_begin);
+    extend_add(plan.fronts[child], updates[child], columns, gradient, plan.runs + plan.fronts[child].run_begin);
   }
   const int failed = factor_pivots(f, ld, front.pivots, front.height, scratch);
   if (failed >= 0) return failed;

@@ -42,6 +42,9 @@ struct Plan {
   }
 };
 
+// Neighbours put in order, repeats taken out.
+void tidy(Adjacency& graph);
+
 Adjacency adjacency_of(std::span<const FactorGroup> groups, const Nodes& nodes);
 
 // `blocks` is where the linearised factors will lie, as the groups' `block` offsets say.

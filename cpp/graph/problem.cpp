@@ -43,6 +43,22 @@ GroupCost sum_chunks(const std::vector<FactorGroup>& groups, int threads, Evalua
   return total;
 }
 
+// Minimum degree, unless its factor costs so much that nested dissection, at some microseconds a node, may pay within the few
+// factorisations of a solve; then whichever multiplies less.
+std::vector<int32_t> cheaper_order(const Adjacency& graph, std::span<const int32_t> weight, OrderMethod* used) {
+  constexpr double kWorthTrying = 2e4;  // multiplications a node
+  constexpr size_t kSmall = 200;
+  *used = OrderMethod::minimum_degree;
+  std::vector<int32_t> order = minimum_degree(graph, weight);
+  if (graph.size() <= kSmall) return order;
+  const double flops = fill_of_order(graph, weight, order).flops;
+  if (flops <= kWorthTrying * static_cast<double>(graph.size())) return order;
+  std::vector<int32_t> other = nested_dissection(graph, weight);
+  if (fill_of_order(graph, weight, other).flops >= flops) return order;
+  *used = OrderMethod::nested_dissection;
+  return other;
+}
+
 }  // namespace
 
 GraphProblem::GraphProblem(std::vector<FamilyBlock> families) : families_(std::move(families)) {
@@ -102,9 +118,10 @@ void GraphProblem::analyze(OrderMethod method) {
   std::vector<int32_t> order(nodes_.weight.size());
   std::iota(order.begin(), order.end(), 0);
   order_used_ = method;
-  if (method == OrderMethod::automatic || method == OrderMethod::minimum_degree) {
+  if (method == OrderMethod::automatic) {
+    order = cheaper_order(graph, nodes_.weight, &order_used_);
+  } else if (method == OrderMethod::minimum_degree) {
     order = minimum_degree(graph, nodes_.weight);
-    order_used_ = OrderMethod::minimum_degree;
   } else if (method == OrderMethod::nested_dissection) {
     order = nested_dissection(graph, nodes_.weight);
   }

@@ -27,6 +27,9 @@ class GraphProblem {
   const std::vector<FamilyBlock>& families() const { return families_; }
   size_t variables() const { return variable_tangent_.size(); }
   size_t tangent_size() const { return tangent_size_; }
+  bool held(size_t variable) const { return held_[variable] != 0; }
+  int dof_of(size_t variable) const { return variable_dof_[variable]; }
+  int64_t tangent_of(size_t variable) const { return variable_tangent_[variable]; }
 
   // Holds variables at their values: they are not estimated.
   void hold(std::span<const int32_t> variables);

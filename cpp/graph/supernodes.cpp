@@ -24,19 +24,29 @@ struct Fundamental {
   std::vector<int32_t> row_count;
   std::vector<int32_t> rows;
   std::vector<int32_t> parent;
+  std::vector<int32_t> taker;
 };
 
 class FundamentalBuilder {
  public:
-  FundamentalBuilder(const Adjacency& graph, std::span<const int32_t> order, std::span<const int32_t> position)
-      : graph_(graph), order_(order), position_(position), mark_(order.size(), -1), owner_(order.size(), -1),
-        child_(order.size(), -1) {}
+  FundamentalBuilder(const Adjacency& graph, std::span<const int32_t> order, std::span<const int32_t> position,
+                     const Elements& elements)
+      : graph_(graph), order_(order), position_(position), elements_(elements), mark_(order.size(), -1),
+        owner_(order.size(), -1), child_(order.size(), -1), element_(elements.size() > 0 ? order.size() : 0, -1),
+        next_element_(elements.size(), -1) {
+    for (size_t e = 0; e < elements.size(); ++e) {
+      const auto column = static_cast<size_t>(first_of(e));
+      next_element_[e] = element_[column];
+      element_[column] = static_cast<int32_t>(e);
+    }
+  }
 
   Fundamental build() {
     for (int32_t j = 0; j < static_cast<int32_t>(order_.size()); ++j)
       if (!extends_last(j)) open(j);
     for (size_t s = 0; s < out_.begin.size(); ++s)
       out_.parent.push_back(out_.row_count[s] > 0 ? owner_[static_cast<size_t>(first_row(s))] : -1);
+    for (size_t e = 0; e < elements_.size(); ++e) out_.taker.push_back(owner_[static_cast<size_t>(first_of(e))]);
     return std::move(out_);
   }
 
@@ -52,6 +62,25 @@ class FundamentalBuilder {
     }
   }
 
+  std::span<const int32_t> nodes_of(size_t e) const {
+    return std::span(elements_.nodes).subspan(static_cast<size_t>(elements_.begin[e]),
+                                              static_cast<size_t>(elements_.begin[e + 1] - elements_.begin[e]));
+  }
+
+  // The position at which an element's first node is eliminated.
+  int32_t first_of(size_t e) const {
+    int32_t first = static_cast<int32_t>(order_.size());
+    for (const int32_t node : nodes_of(e)) first = std::min(first, position_[static_cast<size_t>(node)]);
+    return first;
+  }
+
+  template <typename Visit>
+  void element_rows(int32_t j, Visit&& visit) const {
+    if (element_.empty()) return;
+    for (int32_t e = element_[static_cast<size_t>(j)]; e != -1; e = next_element_[static_cast<size_t>(e)])
+      for (const int32_t node : nodes_of(static_cast<size_t>(e))) visit(position_[static_cast<size_t>(node)]);
+  }
+
   // Column j has the structure of the last supernode's rows behind j: it is that supernode's next column. The marks are
   // still the last supernode's, because only opening one writes them.
   bool extends_last(int32_t j) {
@@ -61,7 +90,9 @@ class FundamentalBuilder {
     const int32_t head = child_[static_cast<size_t>(j)];
     if (head != static_cast<int32_t>(s) || next_child_[s] != -1) return false;
     bool inside = true;
-    later_neighbours(j, [&](int32_t p) { inside = inside && mark_[static_cast<size_t>(p)] == static_cast<int32_t>(s); });
+    const auto check = [&](int32_t p) { inside = inside && (p == j || mark_[static_cast<size_t>(p)] == static_cast<int32_t>(s)); };
+    later_neighbours(j, check);
+    element_rows(j, check);
     if (!inside) return false;
     out_.end[s] = j + 1;
     ++out_.row_begin[s];
@@ -80,6 +111,7 @@ class FundamentalBuilder {
       out_.rows.push_back(p);
     };
     later_neighbours(j, take);
+    element_rows(j, take);
     for (int32_t c = child_[static_cast<size_t>(j)]; c != -1; c = next_child_[static_cast<size_t>(c)]) {
       const auto at = static_cast<size_t>(out_.row_begin[static_cast<size_t>(c)]);
       for (size_t i = at; i < at + static_cast<size_t>(out_.row_count[static_cast<size_t>(c)]); ++i) take(out_.rows[i]);
@@ -104,8 +136,9 @@ class FundamentalBuilder {
 
   const Adjacency& graph_;
   std::span<const int32_t> order_, position_;
+  const Elements& elements_;
   Fundamental out_;
-  std::vector<int32_t> mark_, owner_, child_, next_child_;
+  std::vector<int32_t> mark_, owner_, child_, next_child_, element_, next_element_;
 };
 
 // Nanoseconds to assemble and eliminate a front of k pivots and m remaining scalars, as measured on one core: a constant, the
@@ -187,12 +220,14 @@ Supernodes gather(const Fundamental& f, std::span<const int32_t> into, std::span
     const int32_t parent = f.parent[s];
     out.parent.push_back(parent < 0 ? -1 : number[static_cast<size_t>(into[static_cast<size_t>(parent)])]);
   }
+  for (const int32_t taker : f.taker) out.taker.push_back(number[static_cast<size_t>(into[static_cast<size_t>(taker)])]);
   return out;
 }
 
 }  // namespace
 
-Supernodes find_supernodes(const Adjacency& graph, std::span<const int32_t> weight, std::span<const int32_t> order) {
+Supernodes find_supernodes(const Adjacency& graph, std::span<const int32_t> weight, std::span<const int32_t> order,
+                           const Elements& elements) {
   const std::vector<int32_t> renumber = postorder(elimination_tree(graph, order));
   std::vector<int32_t> arranged(order.size()), weight_at(order.size());
   for (size_t i = 0; i < order.size(); ++i) {
@@ -200,7 +235,7 @@ Supernodes find_supernodes(const Adjacency& graph, std::span<const int32_t> weig
     weight_at[i] = weight[static_cast<size_t>(arranged[i])];
   }
   const std::vector<int32_t> position = inverse_of(arranged);
-  const Fundamental fundamental = FundamentalBuilder(graph, arranged, position).build();
+  const Fundamental fundamental = FundamentalBuilder(graph, arranged, position, elements).build();
   return gather(fundamental, amalgamate(fundamental, weight_at), arranged);
 }
 

@@ -19,11 +19,21 @@ struct Supernodes {
   std::vector<int32_t> rows;
   std::vector<int32_t> parent;    // -1 at a root
   std::vector<int32_t> position;  // (nodes) in the final elimination order
+  std::vector<int32_t> taker;     // (elements) the supernode that takes each
   size_t size() const { return parent.size(); }
+};
+
+// Sets of nodes that already form cliques, left by what was eliminated before; each is taken by one front.
+struct Elements {
+  std::vector<int32_t> begin{0};  // (elements + 1)
+  std::vector<int32_t> nodes;
+  size_t size() const { return begin.size() - 1; }
 };
 
 // Liu 1990 for the elimination tree; a child joins its parent where the model of the numeric work says that one larger dense
 // front is cheaper than two with an extend-add between them (Ashcraft, Grimes 1989, with a cost in place of a count of zeros).
-Supernodes find_supernodes(const Adjacency& graph, std::span<const int32_t> weight, std::span<const int32_t> order);
+// `graph` must hold, for every element, edges that join its nodes in the order of their elimination.
+Supernodes find_supernodes(const Adjacency& graph, std::span<const int32_t> weight, std::span<const int32_t> order,
+                           const Elements& elements = {});
 
 }  // namespace heliograph

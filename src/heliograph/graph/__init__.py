@@ -1,11 +1,13 @@
 """Factor graphs: variables in families, factors between them, and the noise they are weighed with."""
 
 from heliograph.graph.archive import load_graph, save_graph
+from heliograph.graph.diagnosis import Diagnosis, diagnose
 from heliograph.graph.draw import plot_poses, to_dot
 from heliograph.graph.factor import Factor
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.factors import Bearing, Between, Landmark, LinearMotion, Position, Prior, Range
 from heliograph.graph.families import Family, family_of, vectors
+from heliograph.graph.free_motion import FreeMotion
 from heliograph.graph.g2o import read_pose_graph, write_g2o, write_toro
 from heliograph.graph.gnc import RobustSettings, RobustSolution, solve_robust
 from heliograph.graph.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
@@ -26,10 +28,12 @@ __all__ = [
     "Cauchy",
     "Constrained",
     "Covariance",
+    "Diagnosis",
     "Diagonal",
     "Factor",
     "FactorGraph",
     "Family",
+    "FreeMotion",
     "GemanMcClure",
     "Huber",
     "Information",
@@ -49,6 +53,7 @@ __all__ = [
     "TruncatedLeastSquares",
     "Tukey",
     "Values",
+    "diagnose",
     "family_of",
     "load_graph",
     "odometry_start",

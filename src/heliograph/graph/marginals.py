@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import GraphError
 from heliograph.graph.constraints import stiffen
+from heliograph.graph.diagnosis import inspect, raise_free
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.problem import Problem
 from heliograph.graph.records import as_keys, key_list
@@ -57,7 +58,14 @@ class Marginals:
         self._problem.analyze()
         stiffen(self._problem)
         self._problem.check_finite(self._problem.linearize())
-        self._problem.require_determined()
+        raise_free(inspect(self._problem, weighted=True, factorize=None))
+        key = self._problem.factorize(0.0, 0.0)
+        if key is not None:
+            raise_free(inspect(self._problem, weighted=True, factorize=True))
+            raise GraphError(
+                f"the normal equations are not positive definite at variable {key}, although no motion is entirely "
+                "free: the information of its factors is too uneven for double precision"
+            )
 
     def _dense(self, keys: ArrayLike) -> NDArray[np.int64]:
         asked = as_keys(keys).reshape(-1)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
-from heliograph.errors import GraphError, UnderconstrainedError
+from heliograph.errors import GraphError
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.families import Family
 from heliograph.graph.resolve import ResolvedGroup, resolve, resolve_fixed
@@ -219,9 +219,3 @@ class Problem:
         raise GraphError(
             f"the cost is {cost.cost} although every residual is finite: the residuals are too large to square"
         )
-
-    def require_determined(self) -> None:
-        """Factorise without damping, or say which variables the graph leaves free."""
-        key = self.factorize(0.0, 0.0)
-        if key is not None:
-            raise UnderconstrainedError(f"the graph does not determine variable {key}")

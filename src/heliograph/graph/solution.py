@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from heliograph.graph.diagnosis import Diagnosis
 from heliograph.graph.outcome import Iteration
 from heliograph.graph.values import Values
 
@@ -35,7 +36,11 @@ class Solution:
     steps : tuple of Iteration
         Every step.
     seconds : mapping of str to float
-        By stage: ``order`` (ordering, symbolic work), ``start`` (chordal), ``iterate``; ``total`` is their sum.
+        By stage: ``order`` (ordering, symbolic work), ``start`` (chordal), ``diagnose``, ``iterate``; ``total``
+        is their sum.
+    diagnosis : Diagnosis
+        Its `free` names what only factors held that their robust kernels reject altogether at the estimate; such
+        variables stay about where they started. Everything else is determined, or `solve` would have raised.
     plan : mapping
         Facts of the elimination: fronts, doubles of the factor, multiplications.
     """
@@ -52,4 +57,5 @@ class Solution:
     start: str
     steps: tuple[Iteration, ...]
     seconds: Mapping[str, float]
+    diagnosis: Diagnosis
     plan: Mapping[str, Any]

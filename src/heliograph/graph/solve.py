@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeAlias
 
 from heliograph.errors import ConfigError, GraphError, closest
 from heliograph.graph.constraints import minimize_constrained
+from heliograph.graph.diagnosis import require_determined, require_solved
 from heliograph.graph.dogleg import dogleg
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.gauss_newton import gauss_newton
@@ -78,8 +79,12 @@ def solve(
     first = problem.linearize()
     problem.check_finite(first)
     clock.lap("iterate")
+    before = require_determined(problem)
+    clock.lap("diagnose")
     run = _Run(METHODS[method], settings, observer or _ignore, clock)
     start, found, steps = _search(problem, values, initial, first, run)
+    diagnosis = require_solved(problem, before=before, failed=found.status == "indefinite")
+    clock.lap("diagnose")
     return Solution(
         values=problem.values(),
         status=found.status,
@@ -93,6 +98,7 @@ def solve(
         start=start.text,
         steps=steps,
         seconds=clock.seconds(),
+        diagnosis=diagnosis,
         plan=problem.native.plan(),
     )
 

@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: MIT
+#include <nanobind/stl/vector.h>
+
+#include "bindings/bindings.hpp"
+#include "graph/bayes_tree.hpp"
+
+namespace heliograph {
+
+namespace {
+
+using Doubles = Array<const double, nb::ndim<1>>;
+using Indices = Array<const int32_t, nb::ndim<1>>;
+
+template <typename Work>
+auto unlocked(Work&& work) {
+  nb::gil_scoped_release release;
+  return work();
+}
+
+auto numbers(std::vector<int32_t>&& values) {
+  const size_t n = values.size();
+  return to_numpy<int32_t>(std::move(values), {n});
+}
+
+auto doubles(std::vector<double>&& values) {
+  const size_t n = values.size();
+  return to_numpy<double>(std::move(values), {n});
+}
+
+void set_custom(BayesTree& tree, const Indices& factors, const Doubles& residual, const std::vector<Doubles>& jacobians) {
+  std::vector<std::span<const double>> spans;
+  for (const Doubles& J : jacobians) spans.push_back(span_of(J));
+  tree.set_custom(span_of(factors), span_of(residual), spans);
+}
+
+Tuple counts(const BayesTree& tree) {
+  const TreeCounts& c = tree.counts();
+  return Tuple(nb::make_tuple(c.variables, c.cliques, c.factors, c.linearized, c.solved));
+}
+
+Tuple costs(const BayesTree& tree) {
+  const GroupCost cost = unlocked([&] { return tree.cost(); });
+  return Tuple(nb::make_tuple(cost.chi2, cost.cost));
+}
+
+}  // namespace
+
+void bind_graph_tree(nb::module_& m) {
+  using namespace nb::literals;
+  nb::class_<BayesTree>(m, "BayesTree")
+      .def(nb::init<>())
+      .def("add_variables", [](BayesTree& t, int manifold, int dof, const Doubles& packed) {
+             return t.add_variables(static_cast<Manifold>(manifold), dof, span_of(packed));
+           }, "manifold"_a, "dof"_a, "packed"_a.noconvert())
+      .def("add_kind", [](BayesTree& t, int type, const Indices& manifolds, const Indices& dofs, int rows, int noise, int kernel,
+                          double width) {
+             return t.add_kind(static_cast<FactorType>(type), span_of(manifolds), span_of(dofs), rows, static_cast<NoiseForm>(noise),
+                               static_cast<KernelType>(kernel), width);
+           }, "type"_a, "manifolds"_a.noconvert(), "dofs"_a.noconvert(), "rows"_a, "noise"_a, "kernel"_a, "width"_a)
+      .def("add_factors", [](BayesTree& t, int kind, const Indices& variables, const Doubles& measurement, const Doubles& noise) {
+             return numbers(t.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise)));
+           }, "kind"_a, "variables"_a.noconvert(), "measurement"_a.noconvert(), "sqrt_information"_a.noconvert())
+      .def("remove_factors", [](BayesTree& t, const Indices& f) { t.remove_factors(span_of(f)); }, "factors"_a.noconvert())
+      .def("weigh_factors", [](BayesTree& t, const Indices& f, const Doubles& w) { t.weigh_factors(span_of(f), span_of(w)); },
+           "factors"_a.noconvert(), "weights"_a.noconvert())
+      .def("relinearize", &BayesTree::relinearize, "threshold"_a, "most"_a)
+      .def("detach", [](BayesTree& t) { unlocked([&] { t.detach(); }); })
+      .def("stale_factors", [](const BayesTree& t, int kind) { return numbers(t.stale_factors(kind)); }, "kind"_a)
+      .def("set_custom", &set_custom, "factors"_a.noconvert(), "residual"_a.noconvert(), "jacobians"_a.noconvert())
+      .def("reorder", [](BayesTree& t) { unlocked([&] { t.reorder(); }); })
+      .def("eliminate", [](BayesTree& t) { return unlocked([&] { return t.eliminate(); }); })
+      .def("solve", [](BayesTree& t, double wildfire, double threshold) { unlocked([&] { t.solve(wildfire, threshold); }); },
+           "wildfire"_a, "threshold"_a)
+      .def("counts", &counts)
+      .def("estimate", [](const BayesTree& t, const Indices& v) { return doubles(t.estimate(span_of(v))); }, "variables"_a.noconvert())
+      .def("delta", [](const BayesTree& t) { return doubles({t.delta().begin(), t.delta().end()}); })
+      .def("largest_step", &BayesTree::largest_step)
+      .def("cost", &costs)
+      .def("bytes", &BayesTree::bytes)
+      .def_prop_ro("variables", &BayesTree::variables)
+      .def_prop_ro("cliques", &BayesTree::cliques)
+      .def_prop_ro("factors", &BayesTree::factors);
+}
+
+}  // namespace heliograph

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: MIT
+// The Bayes tree (Kaess et al. 2012): the factorised graph as a tree of cliques, of which an update re-makes only the top.
+// Everything is addressed by flat indices; cliques keep their dense blocks in pooled memory.
+#pragma once
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "graph/block_pool.hpp"
+#include "graph/factor_group.hpp"
+#include "graph/front_view.hpp"
+#include "graph/plan.hpp"
+#include "graph/supernodes.hpp"
+
+namespace heliograph {
+
+// P(pivots | rows): the pivot columns of an eliminated front, and the remainder that it handed to its parent.
+struct Clique {
+  int32_t parent = -1;
+  int32_t child = -1;        // first of its children
+  int32_t next = -1;         // siblings
+  int32_t previous = -1;
+  int32_t pivot_nodes = 0;
+  int32_t first_factor = -1; // of those that were assembled here
+  int32_t pivots = 0;        // scalars
+  int32_t rows = 0;
+  int32_t height = 0;
+  int32_t update_height = 0;
+  uint32_t flagged = 0;      // number of the update that takes it down
+  std::vector<int32_t> nodes;  // variables: pivots, then rows, in the order of elimination
+  double* factor = nullptr;
+  double* update = nullptr;
+};
+
+struct TreeFactor {
+  int32_t kind = -1;
+  int32_t index = 0;     // in its kind
+  int32_t clique = -1;
+  int32_t next = -1;     // in its clique's list
+  double* block = nullptr;
+  uint8_t stale = 0;     // has to be linearised
+  uint8_t removed = 0;   // by the update that is under way
+};
+
+struct TreeCounts {
+  size_t variables = 0;  // eliminated anew
+  size_t cliques = 0;    // taken down
+  size_t factors = 0;    // assembled anew
+  size_t linearized = 0;
+  size_t solved = 0;     // variables whose step was computed
+};
+
+class BayesTree {
+ public:
+  BayesTree();
+  BayesTree(const BayesTree&) = delete;
+  BayesTree& operator=(const BayesTree&) = delete;
+
+  // --- what the tree is of ---
+  int32_t add_variables(Manifold manifold, int dof, std::span<const double> packed);  // returns the first one's number
+  int32_t add_kind(FactorType type, std::span<const int32_t> manifolds, std::span<const int32_t> dofs, int rows, NoiseForm noise,
+                   KernelType kernel, double width);
+  std::vector<int32_t> add_factors(int32_t kind, std::span<const int32_t> variables, std::span<const double> measurement,
+                                   std::span<const double> sqrt_information);
+  void remove_factors(std::span<const int32_t> factors);
+  void weigh_factors(std::span<const int32_t> factors, std::span<const double> weights);
+
+  // --- one update, step by step ---
+  // Variables whose step is longer than the threshold take it into their linearisation point; returns how many.
+  size_t relinearize(double threshold, size_t most);
+  // Takes down every clique on the way from a touched variable to the root.
+  void detach();
+  // Custom factors of a kind that have to be linearised, and what the caller evaluated for them.
+  std::vector<int32_t> stale_factors(int32_t kind) const;
+  void set_custom(std::span<const int32_t> factors, std::span<const double> residual,
+                  const std::vector<std::span<const double>>& jacobians);
+  // Orders what was taken down: the newest last. Eliminates it, with what hangs below it. Returns the variable at which the
+  // normal equations are not positive definite (the tree is then as before), or -1.
+  void reorder();
+  int32_t eliminate();
+  // Steps from the root down, as far as they change by more than the threshold.
+  void solve(double wildfire, double relinearize_threshold);
+
+  const TreeCounts& counts() const { return counts_; }
+
+  // --- what it says ---
+  size_t variables() const { return dof_.size(); }
+  size_t cliques() const { return cliques_.size() - free_cliques_.size(); }
+  size_t factors() const { return factors_.size() - free_factors_.size(); }
+  std::vector<double> estimate(std::span<const int32_t> variables) const;  // packed, one after another
+  std::span<const double> theta() const { return theta_; }
+  std::span<const double> delta() const { return delta_; }
+  double largest_step() const;
+  GroupCost cost() const;         // of all factors at the estimate
+  size_t bytes() const;
+  std::vector<double> covariance(std::span<const int32_t> variables) const;  // blocks, one after another
+  const std::vector<Clique>& all_cliques() const { return cliques_; }
+  const std::vector<int32_t>& clique_of() const { return clique_of_; }
+
+ private:
+  struct Saved {  // of a relinearised variable, in case the update fails
+    int32_t variable;
+    std::vector<double> theta, delta;
+  };
+
+  void touch(int32_t variable);
+  void flag_up(int32_t clique);
+  void flag_with(int32_t variable);
+  void unlink(int32_t clique);
+  void link(int32_t clique, int32_t parent);
+  void linearize_stale();
+  Elements elements() const;
+  Adjacency adjacency(const Elements& elements, std::span<const int32_t> position) const;
+  void commit(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update);
+  void roll_back();
+  void finish_update();
+  void drop_factor(int32_t factor);
+  int32_t new_clique();
+  void release(int32_t clique);
+  void solve_clique(int32_t clique, double wildfire, bool always, double threshold);
+  bool rows_changed(const Clique& clique) const;
+
+  // Variables.
+  std::vector<Manifold> manifold_;
+  std::vector<int32_t> dof_;
+  std::vector<int64_t> theta_at_, delta_at_;
+  std::vector<int32_t> clique_of_;
+  std::vector<double> theta_, delta_;
+  std::vector<uint32_t> changed_;   // number of the solve in which its step last changed
+  std::vector<uint8_t> fluid_flag_;
+  std::vector<int32_t> fluid_;      // candidates for relinearisation
+
+  // Factors.
+  std::vector<FactorGroup> kinds_;
+  std::vector<std::vector<int32_t>> free_rows_;
+  std::vector<TreeFactor> factors_;
+  std::vector<int32_t> free_factors_;
+  BlockPool factor_blocks_;
+
+  // Cliques.
+  std::vector<Clique> cliques_;
+  std::vector<int32_t> free_cliques_;
+  std::vector<int32_t> roots_;
+  BlockPool clique_blocks_;
+  FrontKernels kernels_;
+  std::vector<double> scratch_;
+
+  // The update that is under way.
+  uint32_t update_number_ = 1;
+  uint32_t solve_number_ = 0;
+  std::vector<uint8_t> touched_flag_;
+  std::vector<int32_t> touched_;        // by new or removed factors
+  std::vector<int32_t> relinearized_;
+  std::vector<Saved> saved_;
+  std::vector<int32_t> fresh_;          // variables not in the tree yet
+  std::vector<int32_t> loose_;          // factors not in the tree yet
+  std::vector<int32_t> removed_;        // factors that leave it
+  std::vector<int32_t> taken_, orphans_, affected_, open_factors_, order_;
+  std::vector<int32_t> local_;          // number of a variable among the affected
+  std::vector<int32_t> made_, attached_;  // cliques of the last update, and those hung below them
+  std::vector<double> rows_, step_;
+  TreeCounts counts_;
+};
+
+}  // namespace heliograph

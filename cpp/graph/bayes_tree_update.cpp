@@ -1,0 +1,427 @@
+// SPDX-License-Identifier: MIT
+// One update of the Bayes tree, step by step.
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <utility>
+
+#include "graph/bayes_tree.hpp"
+#include "graph/ordering.hpp"
+#include "graph/plan_builder.hpp"
+
+namespace heliograph {
+
+void BayesTree::touch(int32_t variable) {
+  uint8_t& flag = touched_flag_[static_cast<size_t>(variable)];
+  if (flag != 0) return;
+  flag = 1;
+  touched_.push_back(variable);
+}
+
+void BayesTree::flag_up(int32_t clique) {
+  while (clique >= 0 && cliques_[static_cast<size_t>(clique)].flagged != update_number_) {
+    cliques_[static_cast<size_t>(clique)].flagged = update_number_;
+    taken_.push_back(clique);
+    clique = cliques_[static_cast<size_t>(clique)].parent;
+  }
+}
+
+// Every clique that speaks of the variable: the one that eliminates it and those below that have it among their rows.
+void BayesTree::flag_with(int32_t variable) {
+  if (clique_of_[static_cast<size_t>(variable)] < 0) return;
+  std::vector<int32_t> stack{clique_of_[static_cast<size_t>(variable)]};
+  while (!stack.empty()) {
+    const int32_t at = stack.back();
+    stack.pop_back();
+    flag_up(at);
+    for (int32_t c = cliques_[static_cast<size_t>(at)].child; c >= 0; c = cliques_[static_cast<size_t>(c)].next) {
+      const std::vector<int32_t>& nodes = cliques_[static_cast<size_t>(c)].nodes;
+      const auto rows = nodes.begin() + cliques_[static_cast<size_t>(c)].pivot_nodes;
+      if (std::find(rows, nodes.end(), variable) != nodes.end()) stack.push_back(c);
+    }
+  }
+}
+
+size_t BayesTree::relinearize(double threshold, size_t most) {
+  std::vector<int32_t> kept;
+  size_t count = 0;
+  const auto longest = [&](int32_t v) {
+    const double* d = delta_.data() + delta_at_[static_cast<size_t>(v)];
+    double longest_element = 0.0;
+    for (int k = 0; k < dof_[static_cast<size_t>(v)]; ++k) longest_element = std::max(longest_element, std::abs(d[k]));
+    return longest_element;
+  };
+  if (fluid_.size() > most)  // the farthest first, where not all may be taken
+    std::stable_sort(fluid_.begin(), fluid_.end(), [&](int32_t a, int32_t b) { return longest(a) > longest(b); });
+  for (const int32_t v : fluid_) {
+    const double length = longest(v);
+    if (length <= threshold || length == 0.0) {
+      fluid_flag_[static_cast<size_t>(v)] = 0;
+      continue;
+    }
+    if (count >= most) {
+      kept.push_back(v);
+      continue;
+    }
+    fluid_flag_[static_cast<size_t>(v)] = 0;
+    ++count;
+    const auto at = static_cast<size_t>(v);
+    const FamilyBlock block{manifold_[at], dof_[at], storage_of(manifold_[at], dof_[at]), 1, 0,
+                            static_cast<size_t>(theta_at_[at]), static_cast<size_t>(delta_at_[at])};
+    double* theta = theta_.data() + block.value;
+    double* delta = delta_.data() + block.tangent;
+    saved_.push_back({v, {theta, theta + block.storage}, {delta, delta + block.dof}});
+    retract_block(block, theta_.data(), delta_.data(), theta_.data());
+    std::fill_n(delta, block.dof, 0.0);
+    relinearized_.push_back(v);
+    flag_with(v);
+  }
+  fluid_ = std::move(kept);
+  return count;
+}
+
+void BayesTree::detach() {
+  for (const int32_t v : touched_) flag_up(clique_of_[static_cast<size_t>(v)]);
+  std::sort(taken_.begin(), taken_.end());  // not the order of discovery: the result does not depend on it
+  for (const int32_t v : relinearized_) touched_flag_[static_cast<size_t>(v)] |= 2;
+  for (const int32_t c : taken_) {
+    const Clique& clique = cliques_[static_cast<size_t>(c)];
+    affected_.insert(affected_.end(), clique.nodes.begin(), clique.nodes.begin() + clique.pivot_nodes);
+    for (int32_t f = clique.first_factor; f >= 0; f = factors_[static_cast<size_t>(f)].next)
+      if (factors_[static_cast<size_t>(f)].removed == 0) open_factors_.push_back(f);
+    for (int32_t child = clique.child; child >= 0; child = cliques_[static_cast<size_t>(child)].next)
+      if (cliques_[static_cast<size_t>(child)].flagged != update_number_) orphans_.push_back(child);
+  }
+  affected_.insert(affected_.end(), fresh_.begin(), fresh_.end());
+  std::sort(affected_.begin(), affected_.end());
+  for (const int32_t f : loose_)
+    if (factors_[static_cast<size_t>(f)].removed == 0) open_factors_.push_back(f);
+  std::sort(open_factors_.begin(), open_factors_.end());
+  local_.resize(dof_.size(), -1);
+  for (size_t i = 0; i < affected_.size(); ++i) local_[static_cast<size_t>(affected_[i])] = static_cast<int32_t>(i);
+  if (!relinearized_.empty())
+    for (const int32_t f : open_factors_) {
+      TreeFactor& factor = factors_[static_cast<size_t>(f)];
+      const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
+      const int32_t* scope = kind.variables.data() + static_cast<size_t>(factor.index) * static_cast<size_t>(kind.arity);
+      for (int a = 0; a < kind.arity; ++a)
+        if ((touched_flag_[static_cast<size_t>(scope[a])] & 2) != 0) factor.stale = 1;
+    }
+  counts_ = {affected_.size(), taken_.size(), open_factors_.size(), 0, 0};
+}
+
+Elements BayesTree::elements() const {
+  Elements out;
+  for (const int32_t c : orphans_) {
+    const Clique& clique = cliques_[static_cast<size_t>(c)];
+    for (size_t i = static_cast<size_t>(clique.pivot_nodes); i < clique.nodes.size(); ++i)
+      out.nodes.push_back(local_[static_cast<size_t>(clique.nodes[i])]);
+    out.begin.push_back(static_cast<int32_t>(out.nodes.size()));
+  }
+  return out;
+}
+
+// Who is joined to whom by the open factors; and by the elements: each a node of its own that its members are joined to, or,
+// where the order is known already, a chain of its members.
+Adjacency BayesTree::adjacency(const Elements& elements, std::span<const int32_t> position) const {
+  const bool chained = !position.empty();
+  const size_t n = affected_.size() + (chained ? 0 : elements.size());
+  std::vector<std::pair<int32_t, int32_t>> edges;
+  for (const int32_t f : open_factors_) {
+    const TreeFactor& factor = factors_[static_cast<size_t>(f)];
+    const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
+    const int32_t* scope = kind.variables.data() + static_cast<size_t>(factor.index) * static_cast<size_t>(kind.arity);
+    for (int a = 0; a < kind.arity; ++a)
+      for (int b = a + 1; b < kind.arity; ++b)
+        edges.emplace_back(local_[static_cast<size_t>(scope[a])], local_[static_cast<size_t>(scope[b])]);
+  }
+  std::vector<int32_t> members;
+  for (size_t e = 0; e < elements.size(); ++e) {
+    members.assign(elements.nodes.begin() + elements.begin[e], elements.nodes.begin() + elements.begin[e + 1]);
+    if (chained) {
+      std::sort(members.begin(), members.end(), [&](int32_t a, int32_t b) {
+        return position[static_cast<size_t>(a)] < position[static_cast<size_t>(b)];
+      });
+      for (size_t i = 1; i < members.size(); ++i) edges.emplace_back(members[i - 1], members[i]);
+    } else {
+      for (const int32_t member : members) edges.emplace_back(static_cast<int32_t>(affected_.size() + e), member);
+    }
+  }
+  Adjacency graph;
+  graph.offset.assign(n + 1, 0);
+  for (const auto& [a, b] : edges) {
+    ++graph.offset[static_cast<size_t>(a) + 1];
+    ++graph.offset[static_cast<size_t>(b) + 1];
+  }
+  std::partial_sum(graph.offset.begin(), graph.offset.end(), graph.offset.begin());
+  graph.neighbour.resize(static_cast<size_t>(graph.offset.back()));
+  std::vector<int64_t> fill(graph.offset.begin(), graph.offset.end() - 1);
+  for (const auto& [a, b] : edges) {
+    graph.neighbour[static_cast<size_t>(fill[static_cast<size_t>(a)]++)] = b;
+    graph.neighbour[static_cast<size_t>(fill[static_cast<size_t>(b)]++)] = a;
+  }
+  tidy(graph);
+  return graph;
+}
+
+void BayesTree::reorder() {
+  const Elements old = elements();
+  const Adjacency graph = adjacency(old, {});
+  std::vector<int32_t> weight(graph.size(), 1), group(graph.size(), 0);
+  for (size_t i = 0; i < affected_.size(); ++i) {
+    weight[i] = dof_[static_cast<size_t>(affected_[i])];
+    // What the new factors speak of is eliminated last: it stays at the top, where the next factors will touch it.
+    group[i] = (touched_flag_[static_cast<size_t>(affected_[i])] & 1) != 0 ? 2 : 1;
+  }
+  order_.clear();
+  for (const int32_t node : minimum_degree(graph, weight, group))
+    if (static_cast<size_t>(node) < affected_.size()) order_.push_back(node);
+}
+
+void BayesTree::linearize_stale() {
+  for (const int32_t f : open_factors_) {
+    TreeFactor& factor = factors_[static_cast<size_t>(f)];
+    if (factor.stale == 0) continue;
+    const auto index = static_cast<size_t>(factor.index);
+    linearize_group(kinds_[static_cast<size_t>(factor.kind)], index, index + 1, theta_.data(), factor.block);
+    factor.stale = 0;
+    ++counts_.linearized;
+  }
+}
+
+int32_t BayesTree::eliminate() {
+  linearize_stale();
+  const Elements old = elements();
+  std::vector<int32_t> position(affected_.size());
+  for (size_t i = 0; i < order_.size(); ++i) position[static_cast<size_t>(order_[i])] = static_cast<int32_t>(i);
+  std::vector<int32_t> weight(affected_.size());
+  for (size_t i = 0; i < affected_.size(); ++i) weight[i] = dof_[static_cast<size_t>(affected_[i])];
+  std::vector<int32_t> scope(kMaxArity);
+  const auto each = [&](auto&& visit) {
+    for (const int32_t f : open_factors_) {
+      const TreeFactor& factor = factors_[static_cast<size_t>(f)];
+      const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
+      const int32_t* variables = kind.variables.data() + static_cast<size_t>(factor.index) * static_cast<size_t>(kind.arity);
+      for (int a = 0; a < kind.arity; ++a) scope[static_cast<size_t>(a)] = local_[static_cast<size_t>(variables[a])];
+      visit(kind, factor.block, scope.data());
+    }
+  };
+  Supernodes supernodes = find_supernodes(adjacency(old, position), weight, order_, old);
+  const size_t made = supernodes.size();
+  const Plan plan = PlanBuilder(each, weight, std::move(supernodes), true).build(old);
+  std::vector<double> diagonal(static_cast<size_t>(plan.scalars));
+  std::vector<double*> factor(made, nullptr), update(plan.fronts.size(), nullptr);
+  for (size_t e = 0; e < orphans_.size(); ++e) update[made + e] = cliques_[static_cast<size_t>(orphans_[e])].update;
+  const PlanView view = plan.view();
+  const Assembly assembly{0.0, 0.0, diagonal.data()};
+  for (size_t s = 0; s < made; ++s) {
+    const FrontView& front = plan.fronts[s];
+    factor[s] = clique_blocks_.take(static_cast<size_t>(front.height) * static_cast<size_t>(front.pivots));
+    update[s] = clique_blocks_.take(static_cast<size_t>(front.update_height) * static_cast<size_t>(front.rows));
+    const int failed = kernels_.eliminate(view, static_cast<int32_t>(s), assembly, factor[s], update.data(), scratch_.data());
+    if (failed < 0) continue;
+    int32_t variable = -1, scalar = 0;
+    for (int32_t i = front.node_begin; i < front.node_begin + front.node_pivots && scalar <= failed; ++i) {
+      variable = affected_[static_cast<size_t>(plan.nodes[static_cast<size_t>(i)])];
+      scalar += dof_[static_cast<size_t>(variable)];
+    }
+    for (size_t done = 0; done <= s; ++done) {
+      const FrontView& f = plan.fronts[done];
+      clique_blocks_.give_back(factor[done], static_cast<size_t>(f.height) * static_cast<size_t>(f.pivots));
+      clique_blocks_.give_back(update[done], static_cast<size_t>(f.update_height) * static_cast<size_t>(f.rows));
+    }
+    roll_back();
+    return variable;
+  }
+  commit(plan, factor, update);
+  return -1;
+}
+
+void BayesTree::unlink(int32_t index) {
+  Clique& clique = cliques_[static_cast<size_t>(index)];
+  if (clique.previous >= 0) {
+    cliques_[static_cast<size_t>(clique.previous)].next = clique.next;
+  } else if (clique.parent >= 0) {
+    cliques_[static_cast<size_t>(clique.parent)].child = clique.next;
+  }
+  if (clique.next >= 0) cliques_[static_cast<size_t>(clique.next)].previous = clique.previous;
+  if (clique.parent < 0) std::erase(roots_, index);
+  clique.parent = clique.next = clique.previous = -1;
+}
+
+void BayesTree::link(int32_t index, int32_t parent) {
+  Clique& clique = cliques_[static_cast<size_t>(index)];
+  clique.parent = parent;
+  if (parent < 0) {
+    roots_.push_back(index);
+    return;
+  }
+  clique.next = cliques_[static_cast<size_t>(parent)].child;
+  if (clique.next >= 0) cliques_[static_cast<size_t>(clique.next)].previous = index;
+  cliques_[static_cast<size_t>(parent)].child = index;
+}
+
+int32_t BayesTree::new_clique() {
+  if (free_cliques_.empty()) {
+    cliques_.emplace_back();
+    return static_cast<int32_t>(cliques_.size()) - 1;
+  }
+  const int32_t index = free_cliques_.back();
+  free_cliques_.pop_back();
+  return index;
+}
+
+void BayesTree::release(int32_t index) {
+  Clique& clique = cliques_[static_cast<size_t>(index)];
+  clique_blocks_.give_back(clique.factor, static_cast<size_t>(clique.height) * static_cast<size_t>(clique.pivots));
+  clique_blocks_.give_back(clique.update, static_cast<size_t>(clique.update_height) * static_cast<size_t>(clique.rows));
+  std::vector<int32_t> nodes = std::move(clique.nodes);
+  clique = Clique{};
+  nodes.clear();
+  clique.nodes = std::move(nodes);  // its memory is used again
+  free_cliques_.push_back(index);
+}
+
+void BayesTree::commit(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update) {
+  for (const int32_t c : orphans_) unlink(c);
+  for (const int32_t c : taken_)
+    if (cliques_[static_cast<size_t>(c)].parent < 0) std::erase(roots_, c);
+  for (const int32_t c : taken_) release(c);
+  made_.clear();
+  for (size_t s = 0; s < factor.size(); ++s) made_.push_back(new_clique());
+  for (size_t s = factor.size(); s-- > 0;) {  // parents first
+    const FrontView& front = plan.fronts[s];
+    Clique& clique = cliques_[static_cast<size_t>(made_[s])];
+    clique.pivot_nodes = front.node_pivots;
+    clique.pivots = front.pivots;
+    clique.rows = front.rows;
+    clique.height = front.height;
+    clique.update_height = front.update_height;
+    clique.factor = factor[s];
+    clique.update = update[s];
+    for (int32_t i = front.node_begin; i < front.node_end; ++i)
+      clique.nodes.push_back(affected_[static_cast<size_t>(plan.nodes[static_cast<size_t>(i)])]);
+    for (int32_t i = 0; i < front.node_pivots; ++i) clique_of_[static_cast<size_t>(clique.nodes[static_cast<size_t>(i)])] = made_[s];
+    link(made_[s], front.parent < 0 ? -1 : made_[static_cast<size_t>(front.parent)]);
+  }
+  for (size_t e = 0; e < orphans_.size(); ++e) {
+    const int32_t parent = plan.fronts[factor.size() + e].parent;
+    link(orphans_[e], made_[static_cast<size_t>(parent)]);
+  }
+  for (const int32_t f : open_factors_) {
+    TreeFactor& entry = factors_[static_cast<size_t>(f)];
+    const FactorGroup& kind = kinds_[static_cast<size_t>(entry.kind)];
+    const int32_t* scope = kind.variables.data() + static_cast<size_t>(entry.index) * static_cast<size_t>(kind.arity);
+    int32_t first = std::numeric_limits<int32_t>::max();  // the front in which its first variable is eliminated
+    for (int a = 0; a < kind.arity; ++a)
+      first = std::min(first, plan.front_of[static_cast<size_t>(local_[static_cast<size_t>(scope[a])])]);
+    entry.clique = made_[static_cast<size_t>(first)];
+    entry.next = cliques_[static_cast<size_t>(entry.clique)].first_factor;
+    cliques_[static_cast<size_t>(entry.clique)].first_factor = f;
+  }
+  for (const int32_t f : removed_) drop_factor(f);
+  attached_ = orphans_;
+  finish_update();
+}
+
+// The tree itself has not been changed: only what was linearised anew, added and marked is undone.
+void BayesTree::roll_back() {
+  for (const Saved& saved : saved_) {
+    const auto v = static_cast<size_t>(saved.variable);
+    std::copy(saved.theta.begin(), saved.theta.end(), theta_.begin() + theta_at_[v]);
+    std::copy(saved.delta.begin(), saved.delta.end(), delta_.begin() + delta_at_[v]);
+    if (std::exchange(fluid_flag_[v], 1) == 0) fluid_.push_back(saved.variable);
+  }
+  for (const int32_t f : open_factors_) {
+    TreeFactor& factor = factors_[static_cast<size_t>(f)];
+    const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
+    const int32_t* scope = kind.variables.data() + static_cast<size_t>(factor.index) * static_cast<size_t>(kind.arity);
+    for (int a = 0; a < kind.arity; ++a)
+      if ((touched_flag_[static_cast<size_t>(scope[a])] & 2) != 0) factor.stale = 1;
+  }
+  linearize_stale();
+  for (const int32_t f : removed_) factors_[static_cast<size_t>(f)].removed = 0;
+  for (const int32_t f : loose_) drop_factor(f);
+  const size_t kept = dof_.size() - fresh_.size();  // the new variables are the last ones
+  if (!fresh_.empty()) {
+    theta_.resize(static_cast<size_t>(theta_at_[kept]));
+    delta_.resize(static_cast<size_t>(delta_at_[kept]));
+  }
+  finish_update();
+  for (std::vector<int32_t>* list : {&dof_, &clique_of_, &local_}) list->resize(kept);
+  for (std::vector<int64_t>* list : {&theta_at_, &delta_at_}) list->resize(kept);
+  for (std::vector<uint8_t>* list : {&fluid_flag_, &touched_flag_}) list->resize(kept);
+  manifold_.resize(kept);
+  changed_.resize(kept);
+}
+
+// Forgets the work lists; the tree is whole again.
+void BayesTree::finish_update() {
+  for (const int32_t v : touched_) touched_flag_[static_cast<size_t>(v)] = 0;
+  for (const int32_t v : relinearized_) touched_flag_[static_cast<size_t>(v)] = 0;
+  for (const int32_t v : affected_) local_[static_cast<size_t>(v)] = -1;
+  for (std::vector<int32_t>* list : {&touched_, &relinearized_, &fresh_, &loose_, &removed_, &taken_, &orphans_, &affected_, &open_factors_})
+    list->clear();
+  saved_.clear();
+  ++update_number_;
+}
+
+bool BayesTree::rows_changed(const Clique& clique) const {
+  for (size_t i = static_cast<size_t>(clique.pivot_nodes); i < clique.nodes.size(); ++i)
+    if (changed_[static_cast<size_t>(clique.nodes[i])] == solve_number_) return true;
+  return false;
+}
+
+// The step of a clique's pivots. Unless it is new, its old step stays where no element moves by more than the threshold, so
+// that what lies below it stays consistent and need not be visited.
+void BayesTree::solve_clique(int32_t index, double wildfire, bool always, double threshold) {
+  const Clique& clique = cliques_[static_cast<size_t>(index)];
+  rows_.resize(static_cast<size_t>(clique.rows) + 8);
+  step_.resize(static_cast<size_t>(clique.pivots));
+  double* to = rows_.data();
+  for (size_t i = static_cast<size_t>(clique.pivot_nodes); i < clique.nodes.size(); ++i) {
+    const auto v = static_cast<size_t>(clique.nodes[i]);
+    to = std::copy_n(delta_.data() + delta_at_[v], dof_[v], to);
+  }
+  FrontView front;
+  front.pivots = clique.pivots;
+  front.rows = clique.rows;
+  front.height = clique.height;
+  kernels_.back_substitute(front, clique.factor, nullptr, rows_.data(), step_.data());
+  counts_.solved += static_cast<size_t>(clique.pivot_nodes);
+  const double* from = step_.data();
+  double moved = 0.0;
+  for (int32_t i = 0; i < clique.pivot_nodes; ++i) {
+    const auto v = static_cast<size_t>(clique.nodes[static_cast<size_t>(i)]);
+    for (int k = 0; k < dof_[v]; ++k) moved = std::max(moved, std::abs(delta_[static_cast<size_t>(delta_at_[v] + k)] - *from++));
+  }
+  if (!(moved > wildfire) && !always) return;
+  from = step_.data();
+  for (int32_t i = 0; i < clique.pivot_nodes; ++i) {
+    const int32_t variable = clique.nodes[static_cast<size_t>(i)];
+    const auto v = static_cast<size_t>(variable);
+    if (moved > wildfire) changed_[v] = solve_number_;
+    double longest = 0.0;
+    for (int k = 0; k < dof_[v]; ++k) {
+      longest = std::max(longest, std::abs(*from));
+      delta_[static_cast<size_t>(delta_at_[v] + k)] = *from++;
+    }
+    if (longest > threshold && std::exchange(fluid_flag_[v], 1) == 0) fluid_.push_back(variable);
+  }
+}
+
+void BayesTree::solve(double wildfire, double relinearize_threshold) {
+  ++solve_number_;
+  for (size_t s = made_.size(); s-- > 0;) solve_clique(made_[s], wildfire, true, relinearize_threshold);
+  std::vector<int32_t> stack(attached_);
+  while (!stack.empty()) {
+    const int32_t at = stack.back();
+    stack.pop_back();
+    if (!rows_changed(cliques_[static_cast<size_t>(at)])) continue;
+    solve_clique(at, wildfire, false, relinearize_threshold);
+    for (int32_t c = cliques_[static_cast<size_t>(at)].child; c >= 0; c = cliques_[static_cast<size_t>(c)].next) stack.push_back(c);
+  }
+}
+
+}  // namespace heliograph
