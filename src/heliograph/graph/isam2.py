@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.config_checks import check_range
 from heliograph.errors import UnderconstrainedError
 from heliograph.graph.factor_graph import FactorGraph
+from heliograph.graph.families import Value
 from heliograph.graph.tree_state import TreeState
 from heliograph.graph.values import Values
 
@@ -201,7 +201,7 @@ class ISAM2:
         clock.lap("solve")
         return np.array((marked, *tree.counts()))
 
-    def estimate(self, keys: ArrayLike | None = None) -> Any:
+    def estimate(self, keys: ArrayLike | None = None) -> Value:
         """Return the estimate: of one key a value, of several of one family a batch, without keys all `Values`."""
         return self._state.values() if keys is None else self._state.at(keys)
 

@@ -36,8 +36,8 @@ class Solution:
     steps : tuple of Iteration
         Every step.
     seconds : mapping of str to float
-        By stage: ``order`` (ordering, symbolic work), ``start`` (chordal), ``diagnose``, ``iterate``; ``total`` is their
-        sum.
+        By stage: ``order`` (ordering, symbolic work), ``start`` (chordal), ``diagnose``, ``iterate``; ``total``
+        is their sum.
     diagnosis : Diagnosis
         Its `free` names what only factors held that their robust kernels reject altogether at the estimate; such
         variables stay about where they started. Everything else is determined, or `solve` would have raised.

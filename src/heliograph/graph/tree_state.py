@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +14,8 @@ from heliograph.errors import GraphError
 from heliograph.graph.diagnosis import diagnose
 from heliograph.graph.factor import Factor
 from heliograph.graph.factor_graph import Added, FactorGraph
-from heliograph.graph.families import Family
+from heliograph.graph.families import Family, Value
+from heliograph.graph.kernels import Kernel
 from heliograph.graph.noise import Whitening
 from heliograph.graph.records import as_keys, key_list
 from heliograph.graph.values import Values
@@ -23,7 +24,7 @@ __all__ = ["TreeState"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
-_NONE = np.zeros(0, dtype=np.int32)
+Point: TypeAlias = Callable[[Ints], Array]  # packed values of variables, one after another
 
 
 @dataclass(slots=True)
@@ -153,7 +154,7 @@ class TreeState:
                 self._own[kind] = _Own(own, families)
         return kind
 
-    def _new_kind(self, code: int, families: tuple[Family, ...], rows: int, noise: Whitening, kernel: Any) -> int:
+    def _new_kind(self, code: int, families: tuple[Family, ...], rows: int, noise: Whitening, kernel: Kernel | None) -> int:
         return self.native.add_kind(
             code,
             np.array([family.code for family in families], dtype=np.int32),
@@ -194,7 +195,7 @@ class TreeState:
                 self._evaluate(own, numbers, self.native.linearization_point)
 
     @staticmethod
-    def _arrays(own: _Own, numbers: Ints, point: Any) -> tuple[list[Array], tuple[Array, ...]]:
+    def _arrays(own: _Own, numbers: Ints, point: Point) -> tuple[list[Array], tuple[Array, ...]]:
         scopes = np.stack([own.scopes[n] for n in numbers.tolist()])
         arrays = [
             family.elements(point(np.ascontiguousarray(column)).reshape(-1, family.storage))
@@ -203,7 +204,7 @@ class TreeState:
         data = tuple(np.stack(items) for items in zip(*(own.data[n] for n in numbers.tolist()), strict=True))
         return arrays, data
 
-    def _evaluate(self, own: _Own, numbers: Ints, point: Any) -> None:
+    def _evaluate(self, own: _Own, numbers: Ints, point: Point) -> None:
         arrays, data = self._arrays(own, numbers, point)
         residual, jacobians = own.factor.evaluate(arrays, data)
         flat = [np.ascontiguousarray(J).reshape(-1) for J in jacobians]
@@ -237,7 +238,7 @@ class TreeState:
         found = diagnose(local, start)
         return None if found.ok else f"{found.message}; the update was not made, and the smoother stays as it was"
 
-    def at(self, keys: ArrayLike) -> Any:
+    def at(self, keys: ArrayLike) -> Value:
         """Return the estimate of keys of one family: a lie value or an array."""
         array = as_keys(keys)
         numbers = self._numbers(array, "asked for")

@@ -26,6 +26,7 @@ from heliograph.graph import (
 )
 from heliograph.graph import diagnosis as module
 from heliograph.lie import S2, SE2, SE3, SO3, ExtendedPose, se2, se3
+from reference.nullity import nullity
 
 METHODS = ("gn", "lm", "dogleg")
 
@@ -466,3 +467,127 @@ def test_bad_graphs_are_named_in_one_line():
         assert "\n" not in str(error.value)
     with pytest.raises(GraphError, match="key 1 is used twice"):
         values.insert(1, [0.0])
+
+
+def random_graph(rng):
+    """Poses, points and numbers, joined by a few factors of many kinds: mostly undetermined."""
+    graph, values = FactorGraph(), Values()
+    T, points = SE3.exp(rng.normal(size=(6, 6))).matrix, 5 * rng.normal(size=(5, 3))
+    values.insert(np.arange(6), SE3(T))
+    values.insert(10 + np.arange(5), points)
+    values.insert(20 + np.arange(3), rng.normal(size=(3, 2)))
+    for _ in range(rng.integers(4, 14)):
+        i, j = rng.choice(6, 2, replace=False)
+        p = rng.integers(5)
+        masked = np.diag((rng.random(6) < 0.8).astype(float))
+        seen = (se3.inverse(T[i]) @ np.r_[points[p], 1.0])[:3]
+        kind = rng.integers(7)
+        if kind == 0:
+            graph.add(Between(i, j, SE3(se3.inverse(T[i]) @ T[j]), Information(masked)))
+        elif kind == 1:
+            graph.add(Between(i, j, SE3(se3.inverse(T[i]) @ T[j]), Isotropic(0.1)))
+        elif kind == 2:
+            graph.add(Landmark(i, 10 + p, seen, Information(masked[:3, :3])))
+        elif kind == 3:
+            graph.add(Bearing(i, 10 + p, S2(seen / np.linalg.norm(seen)), Isotropic(0.1)))
+        elif kind == 4:
+            graph.add(Range(i, 10 + p, np.linalg.norm(seen), Isotropic(0.1)))
+        elif kind == 5:
+            graph.add(Position(i, T[i, :3, 3], Information(masked[:3, :3])))
+        else:
+            a, b = 20 + rng.choice(3, 2, replace=False)
+            graph.add(LinearMotion(a, b, rng.normal(size=(2, 2)), [0.0, 0.0], Information(masked[:2, :2])))
+    graph.fix(rng.choice([0, 1, 10, 20], rng.integers(0, 3), replace=False))
+    return graph, values
+
+
+@pytest.mark.parametrize("columns", [48, 7])
+def test_freedom_is_counted_as_singular_values_count_it(monkeypatch, columns):
+    monkeypatch.setattr(module, "_MOST_COLUMNS", columns)
+    wrong = []
+    for seed in range(150):
+        graph, values = random_graph(np.random.default_rng(seed))
+        found = diagnose(graph, values)
+        scalars, expected = sum(motion.scalars for motion in found.free), nullity(graph, values)
+        if scalars != expected and (columns == 48 or (scalars == 0) != (expected == 0)):
+            wrong.append((seed, scalars, expected))
+    assert not wrong
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_end_counts_where_the_start_hides_the_freedom(method):
+    """Poses on a line, started off it: only at the optimum is the roll about the line free."""
+    graph, values = FactorGraph(), Values()
+    T = np.tile(np.eye(4), (30, 1, 1))
+    T[:, 1, 3] = np.arange(30.0)
+    keys = np.arange(30)
+    values.insert(keys, SE3(T).retract(0.02 * np.random.default_rng(0).normal(size=(30, 6))))
+    graph.add(Between(keys[:-1], keys[1:], SE3(se3.inverse(T[:-1]) @ T[1:]), Isotropic(0.1)))
+    graph.add(Position(keys, T[:, :3, 3], Isotropic(1.0)))
+    assert diagnose(graph, values).ok
+    with pytest.raises(UnderconstrainedError, match="poses 0-29 are free to rotate about y through"):
+        solve(graph, values, method, initial="given")
+
+
+def test_the_start_may_hide_what_the_graph_determines():
+    """All landmarks at the origin leave turns about it; the solver leads away from there."""
+    rng = np.random.default_rng(0)
+    graph, values = FactorGraph(), Values()
+    T, points = SE3.exp(rng.normal(size=(4, 6))).matrix, rng.normal(size=(6, 3))
+    values.insert(np.arange(4), SE3(T).retract(0.1 * rng.normal(size=(4, 6))))
+    values.insert(10 + np.arange(6), np.zeros((6, 3)))
+    i, j = np.repeat(np.arange(4), 6), np.tile(np.arange(6), 4)
+    seen = np.einsum("nij,nj->ni", se3.inverse(T[i]), np.c_[points[j], np.ones(24)])[:, :3]
+    graph.add(Landmark(i, 10 + j, seen, Isotropic(0.1)))
+    graph.add(Prior([0, 1], SE3(T[:2]), Isotropic(0.1)))
+    assert not diagnose(graph, values).ok
+    solution = solve(graph, values)
+    np.testing.assert_allclose(solution.values.at(10 + np.arange(6)), points, atol=1e-6)
+
+
+@pytest.fixture(params=["world", "factor"])
+def entangled(request, monkeypatch):
+    """Fewer seeds than these graphs need; without motions of the world, inverse iteration has to find everything."""
+    monkeypatch.setattr(module, "_MOST_COLUMNS", 3)
+    if request.param == "factor":
+        monkeypatch.setattr(module._Search, "_unresolved", lambda *_: None)
+
+
+@pytest.mark.usefixtures("entangled")
+@pytest.mark.parametrize("held", [0, 1, 2, 3])
+def test_entangled_points_are_decided_by_their_factor(held):
+    """Ranges between all points leave the turns and shifts that held points do not stop."""
+    rng = np.random.default_rng(8)
+    points = 10 * rng.normal(size=(30, 3))
+    i, j = np.triu_indices(30, 1)
+    graph, values = FactorGraph(), Values()
+    values.insert(np.arange(30), points)
+    graph.add(Range(i, j, np.linalg.norm(points[i] - points[j], axis=1), Isotropic(0.1)))
+    graph.fix(np.arange(held))
+    expected = {0: 6, 1: 3, 2: 1, 3: 0}[held]
+    if expected:
+        found = refusal(graph, values)
+        assert sum(motion.directions for motion in found.free) == expected == nullity(graph, values)
+    else:
+        accepted(graph, values)
+
+
+@pytest.mark.usefixtures("entangled")
+@pytest.mark.parametrize(("placed", "expected"), [(0, 7), (1, 4), (2, 1), (3, 0)])
+def test_entangled_cameras_are_decided_by_their_factor(placed, expected):
+    """Bearings between cameras and points, some cameras with a position."""
+    rng = np.random.default_rng(2)
+    graph, values = FactorGraph(), Values()
+    T, points = SE3.exp(rng.normal(size=(12, 6))).matrix, 10 * rng.normal(size=(60, 3))
+    values.insert(np.arange(12), SE3(T))
+    values.insert(200 + np.arange(60), points)
+    i, j = np.repeat(np.arange(12), 60), np.tile(np.arange(60), 12)
+    graph.add(Bearing(i, 200 + j, seen_from(T[i], points[j]), Isotropic(0.01)))
+    for k in range(placed):
+        graph.add(Position(k, T[k, :3, 3], Isotropic(10.0)))
+    assert not module.inspect(linearized(graph, values)).complete
+    if expected:
+        found = refusal(graph, values)
+        assert sum(motion.directions for motion in found.free) == expected == nullity(graph, values)
+    else:
+        accepted(graph, values)
