@@ -154,7 +154,9 @@ class TreeState:
                 self._own[kind] = _Own(own, families)
         return kind
 
-    def _new_kind(self, code: int, families: tuple[Family, ...], rows: int, noise: Whitening, kernel: Kernel | None) -> int:
+    def _new_kind(
+        self, code: int, families: tuple[Family, ...], rows: int, noise: Whitening, kernel: Kernel | None
+    ) -> int:
         return self.native.add_kind(
             code,
             np.array([family.code for family in families], dtype=np.int32),
