@@ -66,7 +66,7 @@ class TreeState:
         graph, values = graph or FactorGraph(), values or Values()
         self._register(values)
         try:
-            staged = [part for added in graph.groups() if len(added.record) for part in self._stage(graph, added)]
+            staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
             held = self._numbers(graph.fixed, "held by `fix`")
             if held.size and int(held.min()) < self._settled:
                 raise GraphError(f"{key_list(graph.fixed)}: only variables that are new in an update can be held")
@@ -114,14 +114,14 @@ class TreeState:
             )
         return found
 
-    def _stage(self, graph: FactorGraph, added: Added) -> list[_Staged]:
+    def _stage(self, added: Added) -> list[_Staged]:
         record = added.record
         if added.whitening.constrained:
             raise GraphError(f"{added.name(0)}: a hard constraint; they can be solved for in a batch only")
         scopes = self._numbers(record.keys, f"in {added.name(0)} and what follows it").reshape(record.keys.shape)
         combinations: dict[tuple[Family, ...], list[int]] = {}
-        for row, scope in enumerate(scopes.tolist()):
-            combinations.setdefault(tuple([self._families[v] for v in scope]), []).append(row)
+        for row, scope in enumerate(scopes):
+            combinations.setdefault(tuple([self._families[v] for v in scope.tolist()]), []).append(row)
         staged = []
         for families, members in combinations.items():
             fault = record.mismatch(families)
