@@ -52,6 +52,7 @@ void bind_graph_tree(nb::module_& m) {
       .def("add_variables", [](BayesTree& t, int manifold, int dof, const Doubles& packed) {
              return t.add_variables(static_cast<Manifold>(manifold), dof, span_of(packed));
            }, "manifold"_a, "dof"_a, "packed"_a.noconvert())
+      .def("hold", [](BayesTree& t, const Indices& v) { t.hold(span_of(v)); }, "variables"_a.noconvert())
       .def("add_kind", [](BayesTree& t, int type, const Indices& manifolds, const Indices& dofs, int rows, int noise, int kernel,
                           double width) {
              return t.add_kind(static_cast<FactorType>(type), span_of(manifolds), span_of(dofs), rows, static_cast<NoiseForm>(noise),
@@ -63,7 +64,8 @@ void bind_graph_tree(nb::module_& m) {
       .def("remove_factors", [](BayesTree& t, const Indices& f) { t.remove_factors(span_of(f)); }, "factors"_a.noconvert())
       .def("weigh_factors", [](BayesTree& t, const Indices& f, const Doubles& w) { t.weigh_factors(span_of(f), span_of(w)); },
            "factors"_a.noconvert(), "weights"_a.noconvert())
-      .def("relinearize", &BayesTree::relinearize, "threshold"_a, "most"_a)
+      .def("relinearize", &BayesTree::relinearize, "threshold"_a, "most"_a = static_cast<size_t>(1) << 40)
+      .def("find_fluid", &BayesTree::find_fluid, "threshold"_a)
       .def("detach", [](BayesTree& t) { unlocked([&] { t.detach(); }); })
       .def("stale_factors", [](const BayesTree& t, int kind) { return numbers(t.stale_factors(kind)); }, "kind"_a)
       .def("set_custom", &set_custom, "factors"_a.noconvert(), "residual"_a.noconvert(), "jacobians"_a.noconvert())
@@ -73,6 +75,10 @@ void bind_graph_tree(nb::module_& m) {
            "wildfire"_a, "threshold"_a)
       .def("counts", &counts)
       .def("estimate", [](const BayesTree& t, const Indices& v) { return doubles(t.estimate(span_of(v))); }, "variables"_a.noconvert())
+      .def("linearization_point", [](const BayesTree& t, const Indices& v) { return doubles(t.linearization_point(span_of(v))); },
+           "variables"_a.noconvert())
+      .def_prop_ro("pending", &BayesTree::pending)
+      .def_prop_ro("idle", &BayesTree::idle)
       .def("delta", [](const BayesTree& t) { return doubles({t.delta().begin(), t.delta().end()}); })
       .def("largest_step", &BayesTree::largest_step)
       .def("cost", &costs)

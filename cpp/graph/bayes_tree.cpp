@@ -51,8 +51,16 @@ int32_t BayesTree::add_variables(Manifold manifold, int dof, std::span<const dou
     changed_.push_back(0);
     fluid_flag_.push_back(0);
     touched_flag_.push_back(0);
+    held_.push_back(0);
   }
   return first;
+}
+
+void BayesTree::hold(std::span<const int32_t> variables) {
+  for (const int32_t v : variables) {
+    require(std::find(fresh_.begin(), fresh_.end(), v) != fresh_.end(), "only new variables can be held");
+    held_[static_cast<size_t>(v)] = 1;
+  }
 }
 
 int32_t BayesTree::add_kind(FactorType type, std::span<const int32_t> manifolds, std::span<const int32_t> dofs, int rows,
@@ -188,6 +196,23 @@ std::vector<double> BayesTree::estimate(std::span<const int32_t> variables) cons
     retract_block(block, theta_.data() + theta_at_[v], delta_.data() + delta_at_[v], out.data() + at);
   }
   return out;
+}
+
+std::vector<double> BayesTree::linearization_point(std::span<const int32_t> variables) const {
+  std::vector<double> out;
+  for (const int32_t variable : variables) {
+    const auto v = static_cast<size_t>(variable);
+    const auto at = theta_.begin() + theta_at_.at(v);
+    out.insert(out.end(), at, at + storage_of(manifold_[v], dof_[v]));
+  }
+  return out;
+}
+
+double BayesTree::longest_element(int32_t variable) const {
+  const auto v = static_cast<size_t>(variable);
+  double longest = 0.0;
+  for (int k = 0; k < dof_[v]; ++k) longest = std::max(longest, std::abs(delta_[static_cast<size_t>(delta_at_[v] + k)]));
+  return longest;
 }
 
 double BayesTree::largest_step() const {

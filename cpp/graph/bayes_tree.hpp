@@ -58,6 +58,8 @@ class BayesTree {
 
   // --- what the tree is of ---
   int32_t add_variables(Manifold manifold, int dof, std::span<const double> packed);  // returns the first one's number
+  // Holds variables that no update has seen yet at their values.
+  void hold(std::span<const int32_t> variables);
   int32_t add_kind(FactorType type, std::span<const int32_t> manifolds, std::span<const int32_t> dofs, int rows, NoiseForm noise,
                    KernelType kernel, double width);
   std::vector<int32_t> add_factors(int32_t kind, std::span<const int32_t> variables, std::span<const double> measurement,
@@ -68,6 +70,8 @@ class BayesTree {
   // --- one update, step by step ---
   // Variables whose step is longer than the threshold take it into their linearisation point; returns how many.
   size_t relinearize(double threshold, size_t most);
+  // Looks through all variables for steps longer than the threshold, where it is lower than the one that `solve` was told.
+  void find_fluid(double threshold);
   // Takes down every clique on the way from a touched variable to the root.
   void detach();
   // Custom factors of a kind that have to be linearised, and what the caller evaluated for them.
@@ -88,6 +92,9 @@ class BayesTree {
   size_t cliques() const { return cliques_.size() - free_cliques_.size(); }
   size_t factors() const { return factors_.size() - free_factors_.size(); }
   std::vector<double> estimate(std::span<const int32_t> variables) const;  // packed, one after another
+  std::vector<double> linearization_point(std::span<const int32_t> variables) const;
+  bool pending() const { return !fluid_.empty(); }  // steps longer than the last threshold
+  bool idle() const { return touched_.empty() && relinearized_.empty() && fresh_.empty(); }
   std::span<const double> theta() const { return theta_; }
   std::span<const double> delta() const { return delta_; }
   double largest_step() const;
@@ -115,6 +122,7 @@ class BayesTree {
   void roll_back();
   void finish_update();
   void drop_factor(int32_t factor);
+  double longest_element(int32_t variable) const;
   int32_t new_clique();
   void release(int32_t clique);
   void solve_clique(int32_t clique, double wildfire, bool always, double threshold);
@@ -127,7 +135,7 @@ class BayesTree {
   std::vector<int32_t> clique_of_;
   std::vector<double> theta_, delta_;
   std::vector<uint32_t> changed_;   // number of the solve in which its step last changed
-  std::vector<uint8_t> fluid_flag_;
+  std::vector<uint8_t> fluid_flag_, held_;
   std::vector<int32_t> fluid_;      // candidates for relinearisation
 
   // Factors.

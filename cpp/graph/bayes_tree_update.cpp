@@ -46,16 +46,10 @@ void BayesTree::flag_with(int32_t variable) {
 size_t BayesTree::relinearize(double threshold, size_t most) {
   std::vector<int32_t> kept;
   size_t count = 0;
-  const auto longest = [&](int32_t v) {
-    const double* d = delta_.data() + delta_at_[static_cast<size_t>(v)];
-    double longest_element = 0.0;
-    for (int k = 0; k < dof_[static_cast<size_t>(v)]; ++k) longest_element = std::max(longest_element, std::abs(d[k]));
-    return longest_element;
-  };
   if (fluid_.size() > most)  // the farthest first, where not all may be taken
-    std::stable_sort(fluid_.begin(), fluid_.end(), [&](int32_t a, int32_t b) { return longest(a) > longest(b); });
+    std::stable_sort(fluid_.begin(), fluid_.end(), [&](int32_t a, int32_t b) { return longest_element(a) > longest_element(b); });
   for (const int32_t v : fluid_) {
-    const double length = longest(v);
+    const double length = longest_element(v);
     if (length <= threshold || length == 0.0) {
       fluid_flag_[static_cast<size_t>(v)] = 0;
       continue;
@@ -81,6 +75,14 @@ size_t BayesTree::relinearize(double threshold, size_t most) {
   return count;
 }
 
+void BayesTree::find_fluid(double threshold) {
+  for (size_t v = 0; v < dof_.size(); ++v)
+    if (fluid_flag_[v] == 0 && longest_element(static_cast<int32_t>(v)) > threshold) {
+      fluid_flag_[v] = 1;
+      fluid_.push_back(static_cast<int32_t>(v));
+    }
+}
+
 void BayesTree::detach() {
   for (const int32_t v : touched_) flag_up(clique_of_[static_cast<size_t>(v)]);
   std::sort(taken_.begin(), taken_.end());  // not the order of discovery: the result does not depend on it
@@ -93,7 +95,8 @@ void BayesTree::detach() {
     for (int32_t child = clique.child; child >= 0; child = cliques_[static_cast<size_t>(child)].next)
       if (cliques_[static_cast<size_t>(child)].flagged != update_number_) orphans_.push_back(child);
   }
-  affected_.insert(affected_.end(), fresh_.begin(), fresh_.end());
+  for (const int32_t v : fresh_)
+    if (held_[static_cast<size_t>(v)] == 0) affected_.push_back(v);
   std::sort(affected_.begin(), affected_.end());
   for (const int32_t f : loose_)
     if (factors_[static_cast<size_t>(f)].removed == 0) open_factors_.push_back(f);
@@ -133,8 +136,10 @@ Adjacency BayesTree::adjacency(const Elements& elements, std::span<const int32_t
     const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
     const int32_t* scope = kind.variables.data() + static_cast<size_t>(factor.index) * static_cast<size_t>(kind.arity);
     for (int a = 0; a < kind.arity; ++a)
-      for (int b = a + 1; b < kind.arity; ++b)
-        edges.emplace_back(local_[static_cast<size_t>(scope[a])], local_[static_cast<size_t>(scope[b])]);
+      for (int b = a + 1; b < kind.arity; ++b) {
+        const int32_t i = local_[static_cast<size_t>(scope[a])], j = local_[static_cast<size_t>(scope[b])];
+        if (i >= 0 && j >= 0) edges.emplace_back(i, j);
+      }
   }
   std::vector<int32_t> members;
   for (size_t e = 0; e < elements.size(); ++e) {
@@ -314,8 +319,11 @@ void BayesTree::commit(const Plan& plan, const std::vector<double*>& factor, con
     const FactorGroup& kind = kinds_[static_cast<size_t>(entry.kind)];
     const int32_t* scope = kind.variables.data() + static_cast<size_t>(entry.index) * static_cast<size_t>(kind.arity);
     int32_t first = std::numeric_limits<int32_t>::max();  // the front in which its first variable is eliminated
-    for (int a = 0; a < kind.arity; ++a)
-      first = std::min(first, plan.front_of[static_cast<size_t>(local_[static_cast<size_t>(scope[a])])]);
+    for (int a = 0; a < kind.arity; ++a) {
+      const int32_t node = local_[static_cast<size_t>(scope[a])];
+      if (node >= 0) first = std::min(first, plan.front_of[static_cast<size_t>(node)]);
+    }
+    if (first == std::numeric_limits<int32_t>::max()) continue;  // between variables that are all held
     entry.clique = made_[static_cast<size_t>(first)];
     entry.next = cliques_[static_cast<size_t>(entry.clique)].first_factor;
     cliques_[static_cast<size_t>(entry.clique)].first_factor = f;
@@ -351,7 +359,7 @@ void BayesTree::roll_back() {
   finish_update();
   for (std::vector<int32_t>* list : {&dof_, &clique_of_, &local_}) list->resize(kept);
   for (std::vector<int64_t>* list : {&theta_at_, &delta_at_}) list->resize(kept);
-  for (std::vector<uint8_t>* list : {&fluid_flag_, &touched_flag_}) list->resize(kept);
+  for (std::vector<uint8_t>* list : {&fluid_flag_, &touched_flag_, &held_}) list->resize(kept);
   manifold_.resize(kept);
   changed_.resize(kept);
 }

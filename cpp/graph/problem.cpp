@@ -181,6 +181,7 @@ double GraphProblem::solve(double damping, double damping_floor) {
 
 void GraphProblem::solve_for(std::span<double> columns) const {
   std::vector<double> b(static_cast<size_t>(plan().scalars));
+  if (tangent_size_ == 0) return;
   for (size_t at = 0; at + tangent_size_ <= columns.size(); at += tangent_size_) {
     const std::span<double> column = columns.subspan(at, tangent_size_);
     gather(column, b);

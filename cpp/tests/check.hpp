@@ -19,6 +19,7 @@
 void check_cloud();
 void check_graph_files();
 void check_graph_ordering();
+void check_graph_solver();
 void check_graph_factors();
 void check_imu();
 void check_io();

@@ -5,6 +5,7 @@ int main() {
   check_cloud();
   check_graph_files();
   check_graph_ordering();
+  check_graph_solver();
   check_graph_factors();
   check_imu();
   check_io();

@@ -10,6 +10,7 @@ from heliograph.graph.families import Family, family_of, vectors
 from heliograph.graph.free_motion import FreeMotion
 from heliograph.graph.g2o import read_pose_graph, write_g2o, write_toro
 from heliograph.graph.gnc import RobustSettings, RobustSolution, solve_robust
+from heliograph.graph.isam2 import ISAM2, ISAM2Settings, UpdateResult
 from heliograph.graph.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
 from heliograph.graph.marginals import Marginals
 from heliograph.graph.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
@@ -23,6 +24,7 @@ from heliograph.graph.values import Values
 
 __all__ = [
     "DCS",
+    "ISAM2",
     "Bearing",
     "Between",
     "Cauchy",
@@ -36,6 +38,7 @@ __all__ = [
     "FreeMotion",
     "GemanMcClure",
     "Huber",
+    "ISAM2Settings",
     "Information",
     "Isotropic",
     "Landmark",
@@ -52,6 +55,7 @@ __all__ = [
     "SquareRoot",
     "TruncatedLeastSquares",
     "Tukey",
+    "UpdateResult",
     "Values",
     "diagnose",
     "family_of",

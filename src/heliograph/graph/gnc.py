@@ -158,7 +158,7 @@ def solve_robust(
         scale = float(np.sqrt(np.median(run.squared[accepted] / median[accepted])))
     threshold = bound * min(1.0, (settings.scale_margin * scale) ** 2)
     if borne.any() or threshold.sum() < bound.sum():
-        run.graduate("gm", ~known, threshold, settings.step, begin=float(np.max(bound / threshold, initial=1.0)))
+        run.graduate("gm", ~known, threshold, settings.step, begin=1.0)
     inliers, status = run.settle(threshold)
     return RobustSolution(
         values=run.values,

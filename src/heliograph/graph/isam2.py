@@ -1,0 +1,221 @@
+"""Incremental smoothing: iSAM2 on a Bayes tree."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from heliograph.config_checks import check_range
+from heliograph.errors import UnderconstrainedError
+from heliograph.graph.factor_graph import FactorGraph
+from heliograph.graph.families import Value
+from heliograph.graph.tree_state import TreeState
+from heliograph.graph.values import Values
+
+__all__ = ["ISAM2", "ISAM2Settings", "UpdateResult"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ISAM2Settings:
+    """When an update linearises anew, and how far steps are carried down the tree.
+
+    Parameters
+    ----------
+    relinearize_threshold : float
+        A variable is linearised anew where an element of its step is longer [rad, m].
+    relinearize_skip : int
+        Only in every so-manieth update.
+    wildfire : float
+        Steps that change by no more than this are not carried on to what lies below [rad, m].
+
+    Raises
+    ------
+    ConfigError
+        A value is out of its range.
+    """
+
+    relinearize_threshold: float = 0.1
+    relinearize_skip: int = 1
+    wildfire: float = 1e-3
+
+    def __post_init__(self) -> None:
+        check_range(self, "relinearize_threshold", "wildfire", low=0.0)
+        check_range(self, "relinearize_skip", low=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UpdateResult:
+    """What one update did.
+
+    Parameters
+    ----------
+    factors : (N,) int32
+        Numbers of the factors that were added, in the order of the graph's; by them they can be removed.
+    relinearized : int
+        Variables that were given a new linearisation point.
+    reeliminated : int
+        Variables that were eliminated anew.
+    cliques : int
+        Cliques that were taken down.
+    linearized : int
+        Factors that were evaluated.
+    solved : int
+        Variables whose step was computed.
+    iterations : int
+        Passes; more than one only where convergence was asked for.
+    converged : bool
+        No step is longer than the threshold that was asked for.
+    cost_before, cost_after : float or None
+        Of all factors, where asked for: before, at the old estimate and the new variables' start.
+    seconds : dict
+        By step: ``add``, ``relinearize``, ``detach``, ``reorder``, ``eliminate``, ``solve``.
+    """
+
+    factors: Ints
+    relinearized: int
+    reeliminated: int
+    cliques: int
+    linearized: int
+    solved: int
+    iterations: int
+    converged: bool
+    cost_before: float | None = None
+    cost_after: float | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+class ISAM2:
+    """A graph that grows, solved as it grows (Kaess et al., IJRR 2012).
+
+    Parameters
+    ----------
+    settings : ISAM2Settings, optional
+        Thresholds.
+
+    Examples
+    --------
+    >>> smoother = ISAM2()
+    >>> smoother.update(graph_of_the_first_pose, values_of_the_first_pose)
+    >>> result = smoother.update(new_factors, new_values)
+    >>> smoother.estimate(7)
+
+    Notes
+    -----
+    The result does not depend on chance or time: the same updates give the same bits.
+    """
+
+    def __init__(self, settings: ISAM2Settings | None = None) -> None:
+        self.settings = settings or ISAM2Settings()
+        self._state = TreeState()
+        self._updates = 0
+
+    def update(
+        self,
+        graph: FactorGraph | None = None,
+        values: Values | None = None,
+        *,
+        remove: ArrayLike = (),
+        iterate: float | None = None,
+        most_iterations: int = 50,
+        costs: bool = False,
+    ) -> UpdateResult:
+        """Add factors and variables, remove factors, and bring the estimate up to date.
+
+        Parameters
+        ----------
+        graph : FactorGraph, optional
+            New factors, between old and new variables.
+        values : Values, optional
+            Where the new variables start.
+        remove : (M,) int
+            Numbers of factors to take out.
+        iterate : float, optional
+            Go on until no element of a step is longer than this [rad, m].
+        most_iterations : int
+            Limit of that.
+        costs : bool
+            Evaluate all factors before and after; this takes time that grows with the whole graph.
+
+        Raises
+        ------
+        GraphError
+            The new factors do not fit the variables; nothing has changed.
+        UnderconstrainedError
+            The graph would no longer determine every variable; the message names what is free. Nothing has changed, and
+            the smoother can be used further.
+        """
+        clock = _Clock()
+        added = self._state.add(graph, values)  # 1. new factors and variables ...
+        self._state.remove(remove)  # ... and what leaves
+        before = self._state.cost() if costs else None
+        clock.lap("add")
+        due = self._updates % self.settings.relinearize_skip == 0
+        threshold = self.settings.relinearize_threshold if due else np.inf
+        work = self._pass(threshold, self.settings.wildfire, graph, values, clock)
+        passes, converged = 1, not self._state.native.pending
+        while iterate is not None and not (converged := self._state.native.largest_step() <= iterate):
+            if passes >= most_iterations:
+                break
+            self._state.native.find_fluid(iterate)
+            work = work + self._pass(iterate, 0.0, None, None, clock)
+            passes += 1
+        self._updates += 1
+        return UpdateResult(
+            factors=added,
+            relinearized=int(work[0]),
+            reeliminated=int(work[1]),
+            cliques=int(work[2]),
+            linearized=int(work[4]),
+            solved=int(work[5]),
+            iterations=passes,
+            converged=converged,
+            cost_before=before,
+            cost_after=self._state.cost() if costs else None,
+            seconds=clock.seconds,
+        )
+
+    def _pass(
+        self, threshold: float, wildfire: float, graph: FactorGraph | None, values: Values | None, clock: _Clock
+    ) -> NDArray[np.int64]:
+        """Do steps 2 to 7 once; return the counts of what was done."""
+        tree = self._state.native
+        marked = tree.relinearize(threshold) if threshold < np.inf else 0  # 2. fluid relinearisation
+        clock.lap("relinearize")
+        tree.detach()  # 3. the top of the tree is taken down
+        self._state.evaluate_custom()
+        clock.lap("detach")
+        tree.reorder()  # 4. constrained ordering: the newest last
+        clock.lap("reorder")
+        failed = tree.eliminate()  # 5. elimination, and 6. orphans attached
+        clock.lap("eliminate")
+        if failed >= 0:
+            raise UnderconstrainedError(self._state.refused(failed, graph, values))
+        self._state.settle()
+        tree.solve(wildfire, self.settings.relinearize_threshold)  # 7. wildfire
+        clock.lap("solve")
+        return np.array((marked, *tree.counts()))
+
+    def estimate(self, keys: ArrayLike | None = None) -> Value:
+        """Return the estimate: of one key a value, of several of one family a batch, without keys all `Values`."""
+        return self._state.values() if keys is None else self._state.at(keys)
+
+
+class _Clock:
+    """Seconds by step."""
+
+    __slots__ = ("_last", "seconds")
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, step: str) -> None:
+        now = time.perf_counter()
+        self.seconds[step] = self.seconds.get(step, 0.0) + now - self._last
+        self._last = now

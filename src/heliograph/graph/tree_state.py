@@ -1,0 +1,265 @@
+"""The Bayes tree with keys, families and factor numbers: what `ISAM2` keeps between updates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from heliograph import _core
+from heliograph.errors import GraphError
+from heliograph.graph.diagnosis import diagnose
+from heliograph.graph.factor import Factor
+from heliograph.graph.factor_graph import Added, FactorGraph
+from heliograph.graph.families import Family, Value
+from heliograph.graph.kernels import Kernel
+from heliograph.graph.noise import Whitening
+from heliograph.graph.records import as_keys, key_list
+from heliograph.graph.values import Values
+
+__all__ = ["TreeState"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Point: TypeAlias = Callable[[Ints], Array]  # packed values of variables, one after another
+
+
+@dataclass(slots=True)
+class _Own:
+    """A user's own factors of one kind: their variables and data by factor number."""
+
+    factor: type[Factor]
+    families: tuple[Family, ...]
+    scopes: dict[int, Ints] = field(default_factory=dict)
+    data: dict[int, tuple[Array, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Staged:
+    """Factors of one kind, checked and ready to be handed over."""
+
+    rows: NDArray[np.int64]  # of all new factors, which these are
+    kind: int
+    scopes: Ints
+    measurement: Array
+    sqrt_information: Array
+    data: tuple[Array, ...]
+
+
+class TreeState:
+    """Names for what the native tree numbers, and checks before anything is handed to it."""
+
+    def __init__(self) -> None:
+        self.native = _core.BayesTree()
+        self._number: dict[int, int] = {}  # of a key's variable
+        self._keys: list[int] = []
+        self._families: list[Family] = []  # of each variable
+        self._kinds: dict[Hashable, int] = {}
+        self._own: dict[int, _Own] = {}
+        self._settled = 0  # variables that are in the tree
+
+    def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
+        """Hand new variables and factors to the tree and return the factors' numbers; on an error nothing has changed."""
+        graph, values = graph or FactorGraph(), values or Values()
+        self._register(values)
+        try:
+            staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
+            held = self._numbers(graph.fixed, "held by `fix`")
+            if held.size and int(held.min()) < self._settled:
+                raise GraphError(f"{key_list(graph.fixed)}: only variables that are new in an update can be held")
+        except GraphError:
+            self._forget()
+            raise
+        for family, packed in zip(values.families(), values.packed(), strict=True):
+            self.native.add_variables(family.code, family.dof, packed.reshape(-1))
+        if held.size:
+            self.native.hold(held)
+        if len(staged) == 1:
+            return self._enter(staged[0])
+        numbers = np.zeros(len(graph), dtype=np.int32)
+        for part in staged:
+            numbers[part.rows] = self._enter(part)
+        return numbers
+
+    def _register(self, values: Values) -> None:
+        keys = values.keys().tolist()
+        known = [key for key in keys if key in self._number]
+        if known:
+            raise GraphError(
+                f"{key_list(np.array(known))}: already in the smoother; give a value once, when a variable is new"
+            )
+        self._number.update(zip(keys, range(len(self._keys), len(self._keys) + len(keys)), strict=True))
+        self._keys += keys
+        for family, count in zip(values.families(), values.counts(), strict=True):
+            self._families += [family] * count
+
+    def _forget(self) -> None:
+        """Drop the variables of an update that was refused."""
+        for key in self._keys[self._settled :]:
+            del self._number[key]
+        del self._keys[self._settled :], self._families[self._settled :]
+
+    def settle(self) -> None:
+        """Take the new variables for good: they are in the tree."""
+        self._settled = len(self._keys)
+
+    def _numbers(self, keys: NDArray[np.int64], what: str) -> Ints:
+        found = np.array([self._number.get(key, -1) for key in keys.reshape(-1).tolist()], dtype=np.int32)
+        if found.size and int(found.min()) < 0:
+            raise GraphError(
+                f"{key_list(keys.reshape(-1)[found < 0])}: {what}, but without a value; insert one with the factor"
+            )
+        return found
+
+    def _stage(self, added: Added) -> list[_Staged]:
+        record = added.record
+        if added.whitening.constrained:
+            raise GraphError(f"{added.name(0)}: a hard constraint; they can be solved for in a batch only")
+        scopes = self._numbers(record.keys, f"in {added.name(0)} and what follows it").reshape(record.keys.shape)
+        combinations: dict[tuple[Family, ...], list[int]] = {}
+        for row, scope in enumerate(scopes):
+            combinations.setdefault(tuple([self._families[v] for v in scope.tolist()]), []).append(row)
+        staged = []
+        for families, members in combinations.items():
+            fault = record.mismatch(families)
+            if fault is not None:
+                raise GraphError(f"{added.name(members[0])}: {fault}")
+            everything = len(members) == len(scopes)
+            rows = slice(None) if everything else np.array(members)
+            data = tuple(item[rows] for item in record.data) if isinstance(record, Factor) else ()
+            roots = added.whitening.sqrt_information
+            staged.append(
+                _Staged(
+                    rows=added.first + np.array(members),
+                    kind=self._kind(added, families, tuple(item.shape[1:] for item in data)),
+                    scopes=scopes if everything else np.ascontiguousarray(scopes[rows]),
+                    measurement=np.ascontiguousarray(record.measurement[rows]),
+                    sqrt_information=roots if added.whitening.shared else np.ascontiguousarray(roots[rows]),
+                    data=data,
+                )
+            )
+        return staged
+
+    def _kind(self, added: Added, families: tuple[Family, ...], shapes: tuple[tuple[int, ...], ...]) -> int:
+        record, noise = added.record, added.whitening
+        own = type(record) if isinstance(record, Factor) else None
+        name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)
+        kind = self._kinds.get(name)
+        if kind is None:
+            kind = self._kinds[name] = self._new_kind(record.type, families, record.rows, noise, record.kernel)
+            if own is not None:
+                self._own[kind] = _Own(own, families)
+        return kind
+
+    def _new_kind(
+        self, code: int, families: tuple[Family, ...], rows: int, noise: Whitening, kernel: Kernel | None
+    ) -> int:
+        return self.native.add_kind(
+            code,
+            np.array([family.code for family in families], dtype=np.int32),
+            np.array([family.dof for family in families], dtype=np.int32),
+            rows,
+            noise.form,
+            0 if kernel is None else kernel.code,
+            1.0 if kernel is None else float(kernel.width),
+        )
+
+    def _enter(self, part: _Staged) -> Ints:
+        numbers = self.native.add_factors(
+            part.kind, part.scopes.reshape(-1), part.measurement.reshape(-1), part.sqrt_information.reshape(-1)
+        )
+        own = self._own.get(part.kind)
+        if own is not None:
+            for row, number in enumerate(numbers.tolist()):
+                own.scopes[number] = part.scopes[row]
+                own.data[number] = tuple(item[row] for item in part.data)
+        return numbers
+
+    def remove(self, numbers: ArrayLike) -> None:
+        """Take factors out with the next elimination."""
+        array = np.asarray(numbers, dtype=np.int32).reshape(-1)
+        if array.size == 0:
+            return
+        try:
+            self.native.remove_factors(array)
+        except ValueError as error:
+            self._forget()
+            raise GraphError(f"factors {key_list(array)}: {error}") from error
+
+    def evaluate_custom(self) -> None:
+        """Evaluate the user's own factors that the update has to linearise."""
+        for kind, own in self._own.items():
+            numbers = self.native.stale_factors(kind)
+            if numbers.size:
+                self._evaluate(own, numbers, self.native.linearization_point)
+
+    @staticmethod
+    def _arrays(own: _Own, numbers: Ints, point: Point) -> tuple[list[Array], tuple[Array, ...]]:
+        scopes = np.stack([own.scopes[n] for n in numbers.tolist()])
+        arrays = [
+            family.elements(point(np.ascontiguousarray(column)).reshape(-1, family.storage))
+            for family, column in zip(own.families, scopes.T, strict=True)
+        ]
+        data = tuple(np.stack(items) for items in zip(*(own.data[n] for n in numbers.tolist()), strict=True))
+        return arrays, data
+
+    def _evaluate(self, own: _Own, numbers: Ints, point: Point) -> None:
+        arrays, data = self._arrays(own, numbers, point)
+        residual, jacobians = own.factor.evaluate(arrays, data)
+        flat = [np.ascontiguousarray(J).reshape(-1) for J in jacobians]
+        self.native.set_custom(numbers, np.ascontiguousarray(residual).reshape(-1), flat)
+
+    def cost(self) -> float:
+        """Return the cost of all factors at the estimate."""
+        for own in self._own.values():
+            numbers = np.array(sorted(own.scopes), dtype=np.int32)
+            if numbers.size:
+                self._evaluate(own, numbers, self.native.estimate)
+        return float(self.native.cost()[1])
+
+    def refused(self, variable: int, graph: FactorGraph | None, values: Values | None) -> str:
+        """Return why an update was refused, and drop its variables; the tree has undone the rest."""
+        key = self._keys[variable]
+        text = f"the update would leave key {key} undetermined; it was not made, and the smoother stays as it was"
+        if graph is not None and values is not None:
+            text = self._free(graph, values) or text
+        self._forget()
+        return text
+
+    def _free(self, graph: FactorGraph, values: Values) -> str | None:
+        """Return what is free of the new variables if all old ones are taken as known."""
+        local, start = graph.copy(), values.copy()
+        keys = np.unique(np.concatenate([added.record.keys.reshape(-1) for added in graph.groups()]))
+        old = np.array([key for key in keys.tolist() if self._number[key] < self._settled], dtype=np.int64)
+        for key in old.tolist():
+            start.insert(key, self.at(key))
+        local.fix(old)
+        found = diagnose(local, start)
+        return None if found.ok else f"{found.message}; the update was not made, and the smoother stays as it was"
+
+    def at(self, keys: ArrayLike) -> Value:
+        """Return the estimate of keys of one family: a lie value or an array."""
+        array = as_keys(keys)
+        numbers = self._numbers(array, "asked for")
+        family = self._families[numbers[0]]
+        if any(self._families[v] is not family and self._families[v] != family for v in numbers.tolist()):
+            raise GraphError(f"{key_list(array)}: of several families; ask for one at a time")
+        elements = family.elements(self.native.estimate(numbers).reshape(-1, family.storage))
+        return family.wrap(elements[0] if array.ndim == 0 else elements)
+
+    def values(self) -> Values:
+        """Return the estimate of every variable."""
+        values = Values()
+        if not self._keys:
+            return values
+        order: dict[Family, list[int]] = {}
+        for number, family in enumerate(self._families):
+            order.setdefault(family, []).append(number)
+        keys = np.array(self._keys, dtype=np.int64)
+        for family, members in order.items():
+            numbers = np.array(members, dtype=np.int32)
+            values.insert(keys[numbers], family.unpack(self.native.estimate(numbers).reshape(-1, family.storage)))
+        return values
