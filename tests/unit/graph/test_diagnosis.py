@@ -622,3 +622,18 @@ def test_an_edge_weak_across_its_axes_is_told_from_one_that_knows_nothing(weak, 
     assert found.ok is ok and found.complete
     if not ok:
         assert found.free[0].text.startswith("poses 20-39 are free to translate along (")
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_singular_information_across_the_axes_leaves_no_trace_of_rounding(seed):
+    rng = np.random.default_rng(seed)
+    Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    omega = np.eye(6)
+    omega[3:, 3:] = Q @ np.diag([2.0, 1.0, 0.0]) @ Q.T
+    graph, values = FactorGraph(), Values()
+    T = chain(graph, values, np.arange(5))
+    F = chain(graph, values, np.arange(5, 10), seed=1)
+    graph.add(Between(4, 5, SE3(se3.inverse(T[4]) @ F[0]), Information(0.5 * (omega + omega.T))))
+    graph.fix(0)
+    (motion,) = diagnose(graph, values).free
+    assert motion.kind == "translation" and motion.variables == "poses 5-9"
