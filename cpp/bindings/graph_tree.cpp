@@ -43,6 +43,31 @@ Tuple costs(const BayesTree& tree) {
   return Tuple(nb::make_tuple(cost.chi2, cost.cost));
 }
 
+// Cliques in use: their numbers, parents, counts of pivots and of variables, and the variables one clique after another.
+Tuple clique_table(const BayesTree& tree) {
+  std::vector<int32_t> index, parent, pivots, sizes, nodes;
+  for (size_t c = 0; c < tree.all_cliques().size(); ++c) {
+    const Clique& clique = tree.all_cliques()[c];
+    if (clique.nodes.empty()) continue;
+    index.push_back(static_cast<int32_t>(c));
+    parent.push_back(clique.parent);
+    pivots.push_back(clique.pivot_nodes);
+    sizes.push_back(static_cast<int32_t>(clique.nodes.size()));
+    nodes.insert(nodes.end(), clique.nodes.begin(), clique.nodes.end());
+  }
+  return Tuple(nb::make_tuple(numbers(std::move(index)), numbers(std::move(parent)), numbers(std::move(pivots)),
+                              numbers(std::move(sizes)), numbers(std::move(nodes))));
+}
+
+nb::bytes save(const BayesTree& tree) {
+  const std::vector<uint8_t> bytes = unlocked([&] { return tree.save(); });
+  return nb::bytes(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+}
+
+void load(BayesTree& tree, const nb::bytes& bytes) {
+  tree.load({reinterpret_cast<const uint8_t*>(bytes.c_str()), bytes.size()});
+}
+
 }  // namespace
 
 void bind_graph_tree(nb::module_& m) {
@@ -62,6 +87,7 @@ void bind_graph_tree(nb::module_& m) {
              return numbers(t.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise)));
            }, "kind"_a, "variables"_a.noconvert(), "measurement"_a.noconvert(), "sqrt_information"_a.noconvert())
       .def("remove_factors", [](BayesTree& t, const Indices& f) { t.remove_factors(span_of(f)); }, "factors"_a.noconvert())
+      .def("has_factors", [](const BayesTree& t, const Indices& f) { return t.has_factors(span_of(f)); }, "factors"_a.noconvert())
       .def("weigh_factors", [](BayesTree& t, const Indices& f, const Doubles& w) { t.weigh_factors(span_of(f), span_of(w)); },
            "factors"_a.noconvert(), "weights"_a.noconvert())
       .def("relinearize", &BayesTree::relinearize, "threshold"_a, "most"_a = static_cast<size_t>(1) << 40)
@@ -71,6 +97,17 @@ void bind_graph_tree(nb::module_& m) {
       .def("set_custom", &set_custom, "factors"_a.noconvert(), "residual"_a.noconvert(), "jacobians"_a.noconvert())
       .def("reorder", [](BayesTree& t) { unlocked([&] { t.reorder(); }); })
       .def("eliminate", [](BayesTree& t) { return unlocked([&] { return t.eliminate(); }); })
+      .def("undo", &BayesTree::undo)
+      .def("covariance", [](const BayesTree& t, const Indices& v) {
+             return doubles(unlocked([&] { return t.covariance(span_of(v)); }));
+           }, "variables"_a.noconvert())
+      .def("joint_covariance", [](const BayesTree& t, const Indices& v) {
+             return doubles(unlocked([&] { return t.joint_covariance(span_of(v)); }));
+           }, "variables"_a.noconvert())
+      .def("clique_table", &clique_table)
+      .def("made", [](const BayesTree& t) { return numbers(std::vector<int32_t>(t.made())); })
+      .def("save", &save)
+      .def("load", &load, "state"_a)
       .def("solve", [](BayesTree& t, double wildfire, double threshold) { unlocked([&] { t.solve(wildfire, threshold); }); },
            "wildfire"_a, "threshold"_a)
       .def("counts", &counts)

@@ -128,8 +128,7 @@ std::vector<int32_t> BayesTree::add_factors(int32_t index, std::span<const int32
 
 void BayesTree::remove_factors(std::span<const int32_t> numbers) {
   for (const int32_t f : numbers)
-    require(f >= 0 && static_cast<size_t>(f) < factors_.size() && factors_[static_cast<size_t>(f)].kind >= 0 &&
-                factors_[static_cast<size_t>(f)].removed == 0, "a factor that there is not");
+    require(has_factors({&f, 1}) && factors_[static_cast<size_t>(f)].removed == 0, "a factor that there is not");
   for (const int32_t f : numbers) {
     TreeFactor& factor = factors_[static_cast<size_t>(f)];
     factor.removed = 1;
@@ -140,13 +139,19 @@ void BayesTree::remove_factors(std::span<const int32_t> numbers) {
   }
 }
 
+bool BayesTree::has_factors(std::span<const int32_t> numbers) const {
+  return std::all_of(numbers.begin(), numbers.end(), [&](int32_t f) {
+    return f >= 0 && static_cast<size_t>(f) < factors_.size() && factors_[static_cast<size_t>(f)].kind >= 0;
+  });
+}
+
 void BayesTree::weigh_factors(std::span<const int32_t> numbers, std::span<const double> weights) {
-  require(numbers.size() == weights.size(), "one weight a factor");
+  require(numbers.size() == weights.size() && has_factors(numbers), "one weight a factor that there is");
   for (size_t i = 0; i < numbers.size(); ++i) {
-    TreeFactor& factor = factors_.at(static_cast<size_t>(numbers[i]));
-    require(factor.kind >= 0, "a factor that there is not");
+    TreeFactor& factor = factors_[static_cast<size_t>(numbers[i])];
     FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
     if (kind.weight.empty()) kind.weight.assign(kind.count, 1.0);
+    weighed_.push_back({numbers[i], kind.weight[static_cast<size_t>(factor.index)]});
     kind.weight[static_cast<size_t>(factor.index)] = weights[i];
     factor.stale = 1;
     for (int a = 0; a < kind.arity; ++a)

@@ -65,6 +65,7 @@ class BayesTree {
   std::vector<int32_t> add_factors(int32_t kind, std::span<const int32_t> variables, std::span<const double> measurement,
                                    std::span<const double> sqrt_information);
   void remove_factors(std::span<const int32_t> factors);
+  bool has_factors(std::span<const int32_t> factors) const;
   void weigh_factors(std::span<const int32_t> factors, std::span<const double> weights);
 
   // --- one update, step by step ---
@@ -82,6 +83,8 @@ class BayesTree {
   // normal equations are not positive definite (the tree is then as before), or -1.
   void reorder();
   int32_t eliminate();
+  // Undoes everything since the last update ended: the tree is as it was then, to the bit.
+  void undo() { roll_back(); }
   // Steps from the root down, as far as they change by more than the threshold.
   void solve(double wildfire, double relinearize_threshold);
 
@@ -100,7 +103,13 @@ class BayesTree {
   double largest_step() const;
   GroupCost cost() const;         // of all factors at the estimate
   size_t bytes() const;
-  std::vector<double> covariance(std::span<const int32_t> variables) const;  // blocks, one after another
+  // Covariances at the linearisation point: of each variable, blocks one after another; or of all of them together (D, D).
+  std::vector<double> covariance(std::span<const int32_t> variables) const;
+  std::vector<double> joint_covariance(std::span<const int32_t> variables) const;
+  // The whole state between updates as bytes, and back; both go through the same list of members.
+  std::vector<uint8_t> save() const;
+  void load(std::span<const uint8_t> bytes);
+  const std::vector<int32_t>& made() const { return made_; }  // cliques of the last update
   const std::vector<Clique>& all_cliques() const { return cliques_; }
   const std::vector<int32_t>& clique_of() const { return clique_of_; }
 
@@ -108,6 +117,11 @@ class BayesTree {
   struct Saved {  // of a relinearised variable, in case the update fails
     int32_t variable;
     std::vector<double> theta, delta;
+  };
+
+  struct OldFactor {  // what a factor was, in case the update fails
+    int32_t factor;
+    double weight;
   };
 
   void touch(int32_t variable);
@@ -127,6 +141,9 @@ class BayesTree {
   void release(int32_t clique);
   void solve_clique(int32_t clique, double wildfire, bool always, double threshold);
   bool rows_changed(const Clique& clique) const;
+  template <typename Archive>
+  void archive(Archive& with);
+  void check_loaded() const;
 
   // Variables.
   std::vector<Manifold> manifold_;
@@ -160,6 +177,10 @@ class BayesTree {
   std::vector<int32_t> touched_;        // by new or removed factors
   std::vector<int32_t> relinearized_;
   std::vector<Saved> saved_;
+  std::vector<OldFactor> old_, weighed_;
+  std::vector<double> old_blocks_;      // of old_, one after another
+  std::vector<int32_t> fluid_before_;
+  bool looked_at_fluid_ = false;
   std::vector<int32_t> fresh_;          // variables not in the tree yet
   std::vector<int32_t> loose_;          // factors not in the tree yet
   std::vector<int32_t> removed_;        // factors that leave it

@@ -46,6 +46,8 @@ void BayesTree::flag_with(int32_t variable) {
 size_t BayesTree::relinearize(double threshold, size_t most) {
   std::vector<int32_t> kept;
   size_t count = 0;
+  fluid_before_ = fluid_;
+  looked_at_fluid_ = true;
   if (fluid_.size() > most)  // the farthest first, where not all may be taken
     std::stable_sort(fluid_.begin(), fluid_.end(), [&](int32_t a, int32_t b) { return longest_element(a) > longest_element(b); });
   for (const int32_t v : fluid_) {
@@ -189,7 +191,12 @@ void BayesTree::linearize_stale() {
     TreeFactor& factor = factors_[static_cast<size_t>(f)];
     if (factor.stale == 0) continue;
     const auto index = static_cast<size_t>(factor.index);
-    linearize_group(kinds_[static_cast<size_t>(factor.kind)], index, index + 1, theta_.data(), factor.block);
+    const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
+    if (factor.clique >= 0) {
+      old_.push_back({f, 0.0});
+      old_blocks_.insert(old_blocks_.end(), factor.block, factor.block + block_size(kind));
+    }
+    linearize_group(kind, index, index + 1, theta_.data(), factor.block);
     factor.stale = 0;
     ++counts_.linearized;
   }
@@ -333,31 +340,42 @@ void BayesTree::commit(const Plan& plan, const std::vector<double*>& factor, con
   finish_update();
 }
 
-// The tree itself has not been changed: only what was linearised anew, added and marked is undone.
+// The tree itself has not been changed: only what was linearised anew, added and marked is undone, to the bit.
 void BayesTree::roll_back() {
   for (const Saved& saved : saved_) {
     const auto v = static_cast<size_t>(saved.variable);
     std::copy(saved.theta.begin(), saved.theta.end(), theta_.begin() + theta_at_[v]);
     std::copy(saved.delta.begin(), saved.delta.end(), delta_.begin() + delta_at_[v]);
-    if (std::exchange(fluid_flag_[v], 1) == 0) fluid_.push_back(saved.variable);
   }
-  for (const int32_t f : open_factors_) {
-    TreeFactor& factor = factors_[static_cast<size_t>(f)];
-    const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
-    const int32_t* scope = kind.variables.data() + static_cast<size_t>(factor.index) * static_cast<size_t>(kind.arity);
-    for (int a = 0; a < kind.arity; ++a)
-      if ((touched_flag_[static_cast<size_t>(scope[a])] & 2) != 0) factor.stale = 1;
+  if (looked_at_fluid_) {
+    for (const int32_t v : fluid_) fluid_flag_[static_cast<size_t>(v)] = 0;
+    fluid_ = fluid_before_;
+    for (const int32_t v : fluid_) fluid_flag_[static_cast<size_t>(v)] = 1;
   }
-  linearize_stale();
+  const double* from = old_blocks_.data();
+  for (const OldFactor& old : old_) {
+    const TreeFactor& factor = factors_[static_cast<size_t>(old.factor)];
+    const size_t size = block_size(kinds_[static_cast<size_t>(factor.kind)]);
+    std::copy_n(from, size, factor.block);
+    from += size;
+  }
+  for (const int32_t f : open_factors_) factors_[static_cast<size_t>(f)].stale = 0;
+  for (size_t i = weighed_.size(); i-- > 0;) {  // backwards: one may have been weighed twice
+    TreeFactor& factor = factors_[static_cast<size_t>(weighed_[i].factor)];
+    kinds_[static_cast<size_t>(factor.kind)].weight[static_cast<size_t>(factor.index)] = weighed_[i].weight;
+    factor.stale = 0;
+  }
   for (const int32_t f : removed_) factors_[static_cast<size_t>(f)].removed = 0;
-  for (const int32_t f : loose_) drop_factor(f);
+  for (size_t i = loose_.size(); i-- > 0;) drop_factor(loose_[i]);  // backwards: their numbers come again in the same order
   const size_t kept = dof_.size() - fresh_.size();  // the new variables are the last ones
   if (!fresh_.empty()) {
     theta_.resize(static_cast<size_t>(theta_at_[kept]));
     delta_.resize(static_cast<size_t>(delta_at_[kept]));
   }
   finish_update();
-  for (std::vector<int32_t>* list : {&dof_, &clique_of_, &local_}) list->resize(kept);
+  dof_.resize(kept);
+  clique_of_.resize(kept);
+  local_.resize(kept, -1);
   for (std::vector<int64_t>* list : {&theta_at_, &delta_at_}) list->resize(kept);
   for (std::vector<uint8_t>* list : {&fluid_flag_, &touched_flag_, &held_}) list->resize(kept);
   manifold_.resize(kept);
@@ -372,6 +390,10 @@ void BayesTree::finish_update() {
   for (std::vector<int32_t>* list : {&touched_, &relinearized_, &fresh_, &loose_, &removed_, &taken_, &orphans_, &affected_, &open_factors_})
     list->clear();
   saved_.clear();
+  old_.clear();
+  old_blocks_.clear();
+  weighed_.clear();
+  looked_at_fluid_ = false;
   ++update_number_;
 }
 

@@ -20,6 +20,7 @@ from heliograph.graph.posegraph_of import pose_graph_of
 from heliograph.graph.settings import SolverSettings
 from heliograph.graph.solution import Solution
 from heliograph.graph.solve import solve
+from heliograph.graph.tree_views import CliqueRecord, plot_cliques, tree_to_dot
 from heliograph.graph.values import Values
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "Bearing",
     "Between",
     "Cauchy",
+    "CliqueRecord",
     "Constrained",
     "Covariance",
     "Diagnosis",
@@ -61,6 +63,7 @@ __all__ = [
     "family_of",
     "load_graph",
     "odometry_start",
+    "plot_cliques",
     "plot_poses",
     "pose_graph_of",
     "read_pose_graph",
@@ -68,6 +71,7 @@ __all__ = [
     "solve",
     "solve_robust",
     "to_dot",
+    "tree_to_dot",
     "vectors",
     "write_g2o",
     "write_toro",

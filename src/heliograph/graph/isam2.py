@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.config_checks import check_range
 from heliograph.errors import UnderconstrainedError
+from heliograph.graph.factor import Factor
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.families import Value
+from heliograph.graph.tree_archive import read_state, state_arrays, state_from, write_state
 from heliograph.graph.tree_state import TreeState
+from heliograph.graph.tree_views import CliqueRecord, clique_records
 from heliograph.graph.values import Values
 
 __all__ = ["ISAM2", "ISAM2Settings", "UpdateResult"]
@@ -201,9 +207,88 @@ class ISAM2:
         clock.lap("solve")
         return np.array((marked, *tree.counts()))
 
+    def switch(self, factors: ArrayLike, on: bool) -> None:
+        """Switch factors off, or on again; the next `update` brings it in. If that one is refused, all stays as it was.
+
+        Parameters
+        ----------
+        factors : (M,) int
+            Numbers of factors that are in the smoother.
+        on : bool
+            A factor that is off keeps its number and its place in the tree, and weighs nothing.
+
+        Raises
+        ------
+        GraphError
+            There is no such factor.
+        """
+        self._state.switch(factors, on)
+
+    def covariance(self, keys: ArrayLike) -> Array:
+        """Return the covariance of one variable (d, d), or of several of one size (N, d, d).
+
+        Of right perturbations, at the linearisation point; zero for held variables. The work is that of the cliques
+        between the variables and the root.
+        """
+        return self._state.covariance(keys)
+
+    def joint(self, keys: ArrayLike) -> Array:
+        """Return the joint covariance (D, D) of several variables, in the order of the keys; otherwise as `covariance`."""
+        return self._state.joint(keys)
+
+    def cliques(self) -> tuple[CliqueRecord, ...]:
+        """Return the cliques of the Bayes tree, parents before their children."""
+        return clique_records(self._state)
+
+    def save(self, path: Path | str) -> None:
+        """Write the whole state to a file; the smoother that `load` returns goes on to the bit as this one does.
+
+        Raises
+        ------
+        OutputError
+            The file cannot be written.
+        """
+        write_state(path, state_arrays(self._state), {"settings": asdict(self.settings), "updates": self._updates})
+
+    @classmethod
+    def load(cls, path: Path | str, *, factors: Iterable[type[Factor]] = ()) -> ISAM2:
+        """Read what `save` wrote.
+
+        Parameters
+        ----------
+        path : Path or str
+            The file.
+        factors : classes
+            The user's own factors in it, found by their names: a file holds data, not programs.
+
+        Raises
+        ------
+        FormatError
+            The file is no such state, is damaged, or a later version wrote it.
+        GraphError
+            It holds factors whose class was not given, or does not fit.
+        """
+        state, contents = read_state(path, factors)
+        return _restored(ISAM2Settings(**contents["settings"]), contents["updates"], state)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _unpickled, (self.settings, self._updates, state_arrays(self._state), self._state.own_factors())
+
     def estimate(self, keys: ArrayLike | None = None) -> Value:
         """Return the estimate: of one key a value, of several of one family a batch, without keys all `Values`."""
         return self._state.values() if keys is None else self._state.at(keys)
+
+
+def _restored(settings: ISAM2Settings, updates: int, state: TreeState) -> ISAM2:
+    smoother = ISAM2(settings)
+    smoother._state, smoother._updates = state, updates
+    return smoother
+
+
+def _unpickled(
+    settings: ISAM2Settings, updates: int, arrays: dict[str, NDArray[Any]], own: tuple[type[Factor], ...]
+) -> ISAM2:
+    return _restored(settings, updates, state_from(arrays, own))
 
 
 class _Clock:

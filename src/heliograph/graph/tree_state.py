@@ -28,7 +28,7 @@ Point: TypeAlias = Callable[[Ints], Array]  # packed values of variables, one af
 
 
 @dataclass(slots=True)
-class _Own:
+class Own:
     """A user's own factors of one kind: their variables and data by factor number."""
 
     factor: type[Factor]
@@ -58,8 +58,11 @@ class TreeState:
         self._keys: list[int] = []
         self._families: list[Family] = []  # of each variable
         self._kinds: dict[Hashable, int] = {}
-        self._own: dict[int, _Own] = {}
+        self._own: dict[int, Own] = {}
         self._settled = 0  # variables that are in the tree
+        self._entered: list[tuple[int, int]] = []  # a user's own factors of the update that is under way: kind, number
+        self._leaving: list[int] = []
+        self._switched: dict[int, float] = {}  # weights that the next update brings in
 
     def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
         """Hand new variables and factors to the tree and return the factors' numbers; on an error nothing has changed."""
@@ -71,7 +74,7 @@ class TreeState:
             if held.size and int(held.min()) < self._settled:
                 raise GraphError(f"{key_list(graph.fixed)}: only variables that are new in an update can be held")
         except GraphError:
-            self._forget()
+            self.undo()
             raise
         for family, packed in zip(values.families(), values.packed(), strict=True):
             self.native.add_variables(family.code, family.dof, packed.reshape(-1))
@@ -96,14 +99,34 @@ class TreeState:
         for family, count in zip(values.families(), values.counts(), strict=True):
             self._families += [family] * count
 
+    def undo(self) -> None:
+        """Drop what the update that is under way has brought: everything is as it was before."""
+        self.native.undo()
+        self._forget()
+
     def _forget(self) -> None:
-        """Drop the variables of an update that was refused."""
         for key in self._keys[self._settled :]:
             del self._number[key]
         del self._keys[self._settled :], self._families[self._settled :]
+        self._drop([number for _, number in self._entered])
+        self._entered, self._leaving, self._switched = [], [], {}
+
+    def _drop(self, numbers: list[int]) -> None:
+        """Drop the data of a user's own factors; numbers of others are passed over."""
+        if numbers:
+            for own in self._own.values():
+                for number in numbers:
+                    own.scopes.pop(number, None)
+                    own.data.pop(number, None)
 
     def settle(self) -> None:
-        """Take the new variables for good: they are in the tree."""
+        """Take the update for good: it is in the tree."""
+        self._settled = len(self._keys)
+        self._drop(self._leaving)
+        self._entered, self._leaving, self._switched = [], [], {}
+
+    def settle_loaded(self) -> None:
+        """Take all variables as those of the tree: they came with it."""
         self._settled = len(self._keys)
 
     def _numbers(self, keys: NDArray[np.int64], what: str) -> Ints:
@@ -146,12 +169,12 @@ class TreeState:
     def _kind(self, added: Added, families: tuple[Family, ...], shapes: tuple[tuple[int, ...], ...]) -> int:
         record, noise = added.record, added.whitening
         own = type(record) if isinstance(record, Factor) else None
-        name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)
+        name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)  # tree_archive reads it
         kind = self._kinds.get(name)
         if kind is None:
             kind = self._kinds[name] = self._new_kind(record.type, families, record.rows, noise, record.kernel)
             if own is not None:
-                self._own[kind] = _Own(own, families)
+                self._own[kind] = Own(own, families)
         return kind
 
     def _new_kind(
@@ -174,30 +197,45 @@ class TreeState:
         own = self._own.get(part.kind)
         if own is not None:
             for row, number in enumerate(numbers.tolist()):
+                self._entered.append((part.kind, number))
                 own.scopes[number] = part.scopes[row]
                 own.data[number] = tuple(item[row] for item in part.data)
         return numbers
 
     def remove(self, numbers: ArrayLike) -> None:
-        """Take factors out with the next elimination."""
+        """Take factors out, and bring in what was switched, with the next elimination."""
         array = np.asarray(numbers, dtype=np.int32).reshape(-1)
-        if array.size == 0:
-            return
         try:
-            self.native.remove_factors(array)
+            if array.size:
+                self.native.remove_factors(array)
+                self._leaving = array.tolist()
+            kept = {number: weight for number, weight in self._switched.items() if number not in self._leaving}
+            if kept:
+                self.native.weigh_factors(np.array(list(kept), dtype=np.int32), np.array(list(kept.values())))
         except ValueError as error:
-            self._forget()
-            raise GraphError(f"factors {key_list(array)}: {error}") from error
+            self.undo()
+            raise GraphError(f"factors {key_list(array)}: {error}; nothing was changed") from error
+
+    def switch(self, numbers: ArrayLike, on: bool) -> None:
+        """Note what the next update switches on or off."""
+        array = np.asarray(numbers, dtype=np.int32).reshape(-1)
+        if not self.native.has_factors(array):
+            raise GraphError(f"factors {key_list(array)}: not all of them are in the smoother; nothing was switched")
+        self._switched.update(dict.fromkeys(array.tolist(), 1.0 if on else 0.0))
 
     def evaluate_custom(self) -> None:
         """Evaluate the user's own factors that the update has to linearise."""
-        for kind, own in self._own.items():
-            numbers = self.native.stale_factors(kind)
-            if numbers.size:
-                self._evaluate(own, numbers, self.native.linearization_point)
+        try:
+            for kind, own in self._own.items():
+                numbers = self.native.stale_factors(kind)
+                if numbers.size:
+                    self._evaluate(own, numbers, self.native.linearization_point)
+        except GraphError:
+            self.undo()
+            raise
 
     @staticmethod
-    def _arrays(own: _Own, numbers: Ints, point: Point) -> tuple[list[Array], tuple[Array, ...]]:
+    def _arrays(own: Own, numbers: Ints, point: Point) -> tuple[list[Array], tuple[Array, ...]]:
         scopes = np.stack([own.scopes[n] for n in numbers.tolist()])
         arrays = [
             family.elements(point(np.ascontiguousarray(column)).reshape(-1, family.storage))
@@ -206,7 +244,7 @@ class TreeState:
         data = tuple(np.stack(items) for items in zip(*(own.data[n] for n in numbers.tolist()), strict=True))
         return arrays, data
 
-    def _evaluate(self, own: _Own, numbers: Ints, point: Point) -> None:
+    def _evaluate(self, own: Own, numbers: Ints, point: Point) -> None:
         arrays, data = self._arrays(own, numbers, point)
         residual, jacobians = own.factor.evaluate(arrays, data)
         flat = [np.ascontiguousarray(J).reshape(-1) for J in jacobians]
@@ -224,21 +262,53 @@ class TreeState:
         """Return why an update was refused, and drop its variables; the tree has undone the rest."""
         key = self._keys[variable]
         text = f"the update would leave key {key} undetermined; it was not made, and the smoother stays as it was"
-        if graph is not None and values is not None:
-            text = self._free(graph, values) or text
+        if values is not None and key in self._keys[self._settled :]:
+            text = self._free(graph or FactorGraph(), values) or text
         self._forget()
         return text
 
     def _free(self, graph: FactorGraph, values: Values) -> str | None:
         """Return what is free of the new variables if all old ones are taken as known."""
         local, start = graph.copy(), values.copy()
-        keys = np.unique(np.concatenate([added.record.keys.reshape(-1) for added in graph.groups()]))
-        old = np.array([key for key in keys.tolist() if self._number[key] < self._settled], dtype=np.int64)
-        for key in old.tolist():
+        keys = [added.record.keys.reshape(-1) for added in graph.groups()]
+        old = [key for key in np.unique(np.concatenate(keys)).tolist() if self._number[key] < self._settled] if keys else []
+        for key in old:
             start.insert(key, self.at(key))
-        local.fix(old)
+        local.fix(np.array(old, dtype=np.int64))
         found = diagnose(local, start)
         return None if found.ok else f"{found.message}; the update was not made, and the smoother stays as it was"
+
+    def covariance(self, keys: ArrayLike) -> Array:
+        """Return the covariance of one variable (d, d), or of several of one size (N, d, d)."""
+        array = as_keys(keys)
+        numbers = self._numbers(array, "asked for")
+        if not numbers.size:
+            return np.zeros((0, 0, 0))
+        dofs = {self._families[v].dof for v in numbers.tolist()}
+        if len(dofs) > 1:
+            raise GraphError(
+                f"{key_list(array)}: variables of {min(dofs)} and of {max(dofs)} degrees of freedom; ask for one size at a time"
+            )
+        d = dofs.pop()
+        out = self.native.covariance(numbers).reshape(-1, d, d)
+        out = 0.5 * (out + np.swapaxes(out, 1, 2))
+        return np.asarray(out[0] if array.ndim == 0 else out)
+
+    def joint(self, keys: ArrayLike) -> Array:
+        """Return the joint covariance (D, D) of several variables, in the order of the keys."""
+        numbers = self._numbers(as_keys(keys), "asked for")
+        out = self.native.joint_covariance(numbers)
+        size = int(np.sqrt(out.size))
+        out = out.reshape(size, size)
+        return np.asarray(0.5 * (out + out.T))
+
+    def own_factors(self) -> tuple[type[Factor], ...]:
+        """Return the classes of the user's own factors, each once."""
+        return tuple(dict.fromkeys(own.factor for own in self._own.values()))
+
+    def key_of(self, numbers: Ints) -> NDArray[np.int64]:
+        """Return the keys of the native side's variables."""
+        return np.array([self._keys[v] for v in numbers.tolist()], dtype=np.int64)
 
     def at(self, keys: ArrayLike) -> Value:
         """Return the estimate of keys of one family: a lie value or an array."""
