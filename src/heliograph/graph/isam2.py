@@ -233,7 +233,7 @@ class ISAM2:
         return self._state.covariance(keys)
 
     def joint(self, keys: ArrayLike) -> Array:
-        """Return the joint covariance (D, D) of several variables, in the order of the keys; otherwise as `covariance`."""
+        """Return the joint covariance (D, D) of several variables, in the order of the keys; else as `covariance`."""
         return self._state.joint(keys)
 
     def cliques(self) -> tuple[CliqueRecord, ...]:

@@ -102,9 +102,7 @@ def _own_members(own: Own, arrays: Mapping[str, NDArray[Any]], prefix: str, data
     return own
 
 
-def _own_class(
-    name: str, rows: int, families: tuple[Any, ...], classes: Mapping[str, type[Factor]]
-) -> type[Factor]:
+def _own_class(name: str, rows: int, families: tuple[Any, ...], classes: Mapping[str, type[Factor]]) -> type[Factor]:
     cls = classes.get(name)
     if cls is None:
         raise GraphError(f"the state holds factors of {name}, which is not built in; give its class: factors=[{name}]")
@@ -152,6 +150,4 @@ def read_state(path: Path | str, factors: Iterable[type[Factor]]) -> tuple[TreeS
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror or error}); give a file of ISAM2.save") from error
     except (KeyError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
-        raise FormatError(
-            path, f"is no saved smoother, or damaged ({error}); write it anew with ISAM2.save"
-        ) from error
+        raise FormatError(path, f"is no saved smoother, or damaged ({error}); write it anew with ISAM2.save") from error

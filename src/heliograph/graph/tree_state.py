@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -24,6 +24,10 @@ __all__ = ["TreeState"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
+# What tells kinds of factors apart: type, own class, families, form of noise, kernel, rows, shapes of the data.
+KindName: TypeAlias = tuple[
+    int, type[Factor] | None, tuple[Family, ...], int, Kernel | None, int, tuple[tuple[int, ...], ...]
+]
 Point: TypeAlias = Callable[[Ints], Array]  # packed values of variables, one after another
 
 
@@ -57,7 +61,7 @@ class TreeState:
         self._number: dict[int, int] = {}  # of a key's variable
         self._keys: list[int] = []
         self._families: list[Family] = []  # of each variable
-        self._kinds: dict[Hashable, int] = {}
+        self._kinds: dict[KindName, int] = {}
         self._own: dict[int, Own] = {}
         self._settled = 0  # variables that are in the tree
         self._entered: list[tuple[int, int]] = []  # a user's own factors of the update that is under way: kind, number
@@ -65,8 +69,9 @@ class TreeState:
         self._switched: dict[int, float] = {}  # weights that the next update brings in
 
     def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
-        """Hand new variables and factors to the tree and return the factors' numbers; on an error nothing has changed."""
-        graph, values = graph or FactorGraph(), values or Values()
+        """Hand new variables and factors to the tree and return the factors' numbers; an error undoes it all."""
+        graph = FactorGraph() if graph is None else graph  # one that only holds variables is empty, and counts
+        values = Values() if values is None else values
         self._register(values)
         try:
             staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
@@ -169,7 +174,7 @@ class TreeState:
     def _kind(self, added: Added, families: tuple[Family, ...], shapes: tuple[tuple[int, ...], ...]) -> int:
         record, noise = added.record, added.whitening
         own = type(record) if isinstance(record, Factor) else None
-        name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)  # tree_archive reads it
+        name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)
         kind = self._kinds.get(name)
         if kind is None:
             kind = self._kinds[name] = self._new_kind(record.type, families, record.rows, noise, record.kernel)
@@ -263,7 +268,7 @@ class TreeState:
         key = self._keys[variable]
         text = f"the update would leave key {key} undetermined; it was not made, and the smoother stays as it was"
         if values is not None and key in self._keys[self._settled :]:
-            text = self._free(graph or FactorGraph(), values) or text
+            text = self._free(FactorGraph() if graph is None else graph, values) or text
         self._forget()
         return text
 
@@ -271,7 +276,11 @@ class TreeState:
         """Return what is free of the new variables if all old ones are taken as known."""
         local, start = graph.copy(), values.copy()
         keys = [added.record.keys.reshape(-1) for added in graph.groups()]
-        old = [key for key in np.unique(np.concatenate(keys)).tolist() if self._number[key] < self._settled] if keys else []
+        old = (
+            [key for key in np.unique(np.concatenate(keys)).tolist() if self._number[key] < self._settled]
+            if keys
+            else []
+        )
         for key in old:
             start.insert(key, self.at(key))
         local.fix(np.array(old, dtype=np.int64))
@@ -287,7 +296,8 @@ class TreeState:
         dofs = {self._families[v].dof for v in numbers.tolist()}
         if len(dofs) > 1:
             raise GraphError(
-                f"{key_list(array)}: variables of {min(dofs)} and of {max(dofs)} degrees of freedom; ask for one size at a time"
+                f"{key_list(array)}: variables of {min(dofs)} and of {max(dofs)} degrees of freedom; "
+                "ask for one size at a time"
             )
         d = dofs.pop()
         out = self.native.covariance(numbers).reshape(-1, d, d)

@@ -149,7 +149,8 @@ def plot_cliques(cliques: Sequence[CliqueRecord], *, title: str = "") -> Figure:
         part = [c for c in cliques if c.touched is touched]
         if part:
             areas = [4.0 * (len(c.pivots) + len(c.rows)) for c in part]
-            axes.scatter(*np.array([place[c.number] for c in part]).T, s=areas, c=color, linewidths=0, zorder=2)
+            x, y = np.array([place[c.number] for c in part]).T
+            axes.scatter(x, y, s=areas, c=color, linewidths=0, zorder=2)
     axes.invert_yaxis()
     axes.set_ylabel("depth [cliques]")
     axes.set_xticks([])
