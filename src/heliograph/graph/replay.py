@@ -177,4 +177,3 @@ class _Waiting:
             self.tries += 1
         self._steps += 1
         self.graph, self.values = graph, values
-

@@ -62,7 +62,7 @@ class TreeState:
         self._settled = 0  # variables that are in the tree
 
     def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
-        """Hand new variables and factors to the tree and return the factors' numbers; on an error nothing has changed."""
+        """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
         graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
         values = Values() if values is None else values
         self._register(values)
