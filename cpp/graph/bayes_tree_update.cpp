@@ -409,7 +409,7 @@ void BayesTree::solve_clique(int32_t index, double wildfire, bool always, double
   for (int32_t i = 0; i < clique.pivot_nodes; ++i) {
     const int32_t variable = clique.nodes[static_cast<size_t>(i)];
     const auto v = static_cast<size_t>(variable);
-    if (moved > wildfire) changed_[v] = solve_number_;
+    if (always || moved > wildfire) changed_[v] = solve_number_;
     double longest = 0.0;
     for (int k = 0; k < dof_[v]; ++k) {
       longest = std::max(longest, std::abs(*from));
@@ -421,6 +421,9 @@ void BayesTree::solve_clique(int32_t index, double wildfire, bool always, double
 
 void BayesTree::solve(double wildfire, double relinearize_threshold) {
   ++solve_number_;
+  // Steps are cheap beside elimination: where that took down a good part of the tree, nothing is left stale.
+  constexpr size_t kGoodPart = 10;
+  if (counts_.variables * kGoodPart >= dof_.size()) wildfire = 0.0;
   for (size_t s = made_.size(); s-- > 0;) solve_clique(made_[s], wildfire, true, relinearize_threshold);
   std::vector<int32_t> stack(attached_);
   while (!stack.empty()) {

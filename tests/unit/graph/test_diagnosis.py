@@ -19,6 +19,7 @@ from heliograph.graph import (
     Position,
     Prior,
     Range,
+    SquareRoot,
     TruncatedLeastSquares,
     Values,
     diagnose,
@@ -591,3 +592,48 @@ def test_entangled_cameras_are_decided_by_their_factor(placed, expected):
         assert sum(motion.directions for motion in found.free) == expected == nullity(graph, values)
     else:
         accepted(graph, values)
+
+
+def test_next_to_parallel_rays_still_cross():
+    """A parallax of a millionth: beyond what the normal equations show, not beyond the Jacobians."""
+    graph, values = FactorGraph(), Values()
+    T = np.tile(np.eye(4), (2, 1, 1))
+    T[1, 1, 3] = 1e-5
+    point = np.array([[6.0, 5.0, 4.0]])
+    values.insert([0, 1], SE3(T))
+    values.insert(5, point[0])
+    graph.fix([0, 1])
+    graph.add(Bearing([0, 1], 5, seen_from(T, np.repeat(point, 2, axis=0)), Isotropic(1e-3)))
+    found = diagnose(graph, values)
+    assert found.ok and found.complete and found.close
+
+
+@pytest.mark.parametrize(("weak", "ok"), [(1e-7, True), (0.0, False)])
+def test_an_edge_weak_across_its_axes_is_told_from_one_that_knows_nothing(weak, ok):
+    Q = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    S = np.eye(6)
+    S[3:, 3:] = np.diag([1.0, 1.0, weak]) @ Q.T
+    graph, values = FactorGraph(), Values()
+    T = chain(graph, values, np.arange(20))
+    F = chain(graph, values, np.arange(20, 40), seed=1)
+    graph.add(Between(19, 20, SE3(se3.inverse(T[19]) @ F[0]), SquareRoot(S)))
+    graph.fix(0)
+    found = diagnose(graph, values)
+    assert found.ok is ok and found.complete
+    if not ok:
+        assert found.free[0].text.startswith("poses 20-39 are free to translate along (")
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_singular_information_across_the_axes_leaves_no_trace_of_rounding(seed):
+    rng = np.random.default_rng(seed)
+    Q = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    omega = np.eye(6)
+    omega[3:, 3:] = Q @ np.diag([2.0, 1.0, 0.0]) @ Q.T
+    graph, values = FactorGraph(), Values()
+    T = chain(graph, values, np.arange(5))
+    F = chain(graph, values, np.arange(5, 10), seed=1)
+    graph.add(Between(4, 5, SE3(se3.inverse(T[4]) @ F[0]), Information(0.5 * (omega + omega.T))))
+    graph.fix(0)
+    (motion,) = diagnose(graph, values).free
+    assert motion.kind == "translation" and motion.variables == "poses 5-9"
