@@ -201,6 +201,11 @@ class ISAM2:
         clock.lap("solve")
         return np.array((marked, *tree.counts()))
 
+    @property
+    def bytes(self) -> int:
+        """Memory of the tree and its factors."""
+        return int(self._state.native.bytes())
+
     def estimate(self, keys: ArrayLike | None = None) -> Value:
         """Return the estimate: of one key a value, of several of one family a batch, without keys all `Values`."""
         return self._state.values() if keys is None else self._state.at(keys)

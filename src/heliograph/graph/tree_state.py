@@ -62,8 +62,9 @@ class TreeState:
         self._settled = 0  # variables that are in the tree
 
     def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
-        """Hand new variables and factors to the tree and return the factors' numbers; on an error nothing has changed."""
-        graph, values = graph or FactorGraph(), values or Values()
+        """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
+        graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
+        values = Values() if values is None else values
         self._register(values)
         try:
             staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
@@ -232,7 +233,7 @@ class TreeState:
     def _free(self, graph: FactorGraph, values: Values) -> str | None:
         """Return what is free of the new variables if all old ones are taken as known."""
         local, start = graph.copy(), values.copy()
-        keys = np.unique(np.concatenate([added.record.keys.reshape(-1) for added in graph.groups()]))
+        keys = np.unique(np.concatenate([values.keys(), *(added.record.keys.reshape(-1) for added in graph.groups())]))
         old = np.array([key for key in keys.tolist() if self._number[key] < self._settled], dtype=np.int64)
         for key in old.tolist():
             start.insert(key, self.at(key))
