@@ -274,6 +274,11 @@ class ISAM2:
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpickled, (self.settings, self._updates, state_arrays(self._state), self._state.own_factors())
 
+    @property
+    def bytes(self) -> int:
+        """Memory of the tree and its factors."""
+        return int(self._state.native.bytes())
+
     def estimate(self, keys: ArrayLike | None = None) -> Value:
         """Return the estimate: of one key a value, of several of one family a batch, without keys all `Values`."""
         return self._state.values() if keys is None else self._state.at(keys)

@@ -69,8 +69,8 @@ class TreeState:
         self._switched: dict[int, float] = {}  # weights that the next update brings in
 
     def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
-        """Hand new variables and factors to the tree and return the factors' numbers; an error undoes it all."""
-        graph = FactorGraph() if graph is None else graph  # one that only holds variables is empty, and counts
+        """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
+        graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
         values = Values() if values is None else values
         self._register(values)
         try:
@@ -275,15 +275,11 @@ class TreeState:
     def _free(self, graph: FactorGraph, values: Values) -> str | None:
         """Return what is free of the new variables if all old ones are taken as known."""
         local, start = graph.copy(), values.copy()
-        keys = [added.record.keys.reshape(-1) for added in graph.groups()]
-        old = (
-            [key for key in np.unique(np.concatenate(keys)).tolist() if self._number[key] < self._settled]
-            if keys
-            else []
-        )
-        for key in old:
+        keys = np.unique(np.concatenate([values.keys(), *(added.record.keys.reshape(-1) for added in graph.groups())]))
+        old = np.array([key for key in keys.tolist() if self._number[key] < self._settled], dtype=np.int64)
+        for key in old.tolist():
             start.insert(key, self.at(key))
-        local.fix(np.array(old, dtype=np.int64))
+        local.fix(old)
         found = diagnose(local, start)
         return None if found.ok else f"{found.message}; the update was not made, and the smoother stays as it was"
 
