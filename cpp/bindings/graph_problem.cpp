@@ -55,8 +55,8 @@ size_t add_group(GraphProblem& problem, int type, const Scopes& variables, int r
   return problem.add_group(make_group(input, problem.families()));
 }
 
-void copy_into(std::vector<double>& to, std::span<const double> from, size_t expected, const char* what) {
-  if (from.size() != expected && !from.empty()) throw std::invalid_argument(what);
+void copy_into(std::vector<double>& to, std::span<const double> from, size_t expected, const char* what, bool or_none = false) {
+  if (from.size() != expected && !(or_none && from.empty())) throw std::invalid_argument(what);
   to.assign(from.begin(), from.end());
 }
 
@@ -133,10 +133,10 @@ void bind_graph_problem(nb::module_& m) {
            "shared"_a, "sqrt_information"_a.noconvert(), "kernel"_a, "width"_a)
       .def("set_custom", &set_custom, "group"_a, "residual"_a.noconvert(), "jacobians"_a.noconvert())
       .def("set_weights", [](GraphProblem& p, size_t g, const Doubles& w) {
-             copy_into(p.group(g).weight, span_of(w), p.group(g).count, "one weight a factor, or none");
+             copy_into(p.group(g).weight, span_of(w), p.group(g).count, "one weight a factor, or none", true);
            }, "group"_a, "weights"_a.noconvert())
       .def("set_shift", [](GraphProblem& p, size_t g, const Doubles& s) {
-             copy_into(p.group(g).shift, span_of(s), p.group(g).count * static_cast<size_t>(p.group(g).rows), "one shift a row");
+             copy_into(p.group(g).shift, span_of(s), p.group(g).count * static_cast<size_t>(p.group(g).rows), "one shift a row, or none", true);
            }, "group"_a, "shift"_a.noconvert())
       .def("set_noise", [](GraphProblem& p, size_t g, const Doubles& s) {
              copy_into(p.group(g).sqrt_information, span_of(s), p.group(g).sqrt_information.size(), "noise of another size");

@@ -45,6 +45,31 @@ Tuple costs(const BayesTree& tree) {
   return Tuple(nb::make_tuple(cost.chi2, cost.cost));
 }
 
+// Cliques in use: their numbers, parents, counts of pivots and of variables, and the variables one clique after another.
+Tuple clique_table(const BayesTree& tree) {
+  std::vector<int32_t> index, parent, pivots, sizes, nodes;
+  for (size_t c = 0; c < tree.all_cliques().size(); ++c) {
+    const Clique& clique = tree.all_cliques()[c];
+    if (clique.nodes.empty()) continue;
+    index.push_back(static_cast<int32_t>(c));
+    parent.push_back(clique.parent);
+    pivots.push_back(clique.pivot_nodes);
+    sizes.push_back(static_cast<int32_t>(clique.nodes.size()));
+    nodes.insert(nodes.end(), clique.nodes.begin(), clique.nodes.end());
+  }
+  return Tuple(nb::make_tuple(numbers(std::move(index)), numbers(std::move(parent)), numbers(std::move(pivots)),
+                              numbers(std::move(sizes)), numbers(std::move(nodes))));
+}
+
+nb::bytes save(const BayesTree& tree) {
+  const std::vector<uint8_t> bytes = unlocked([&] { return tree.save(); });
+  return nb::bytes(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+}
+
+void load(BayesTree& tree, const nb::bytes& bytes) {
+  tree.load({reinterpret_cast<const uint8_t*>(bytes.c_str()), bytes.size()});
+}
+
 }  // namespace
 
 void bind_graph_tree(nb::module_& m) {
@@ -64,6 +89,7 @@ void bind_graph_tree(nb::module_& m) {
              return numbers(t.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise)));
            }, "kind"_a, "variables"_a.noconvert(), "measurement"_a.noconvert(), "sqrt_information"_a.noconvert())
       .def("remove_factors", [](BayesTree& t, const Indices& f) { t.remove_factors(span_of(f)); }, "factors"_a.noconvert())
+      .def("has_factors", [](const BayesTree& t, const Indices& f) { return t.has_factors(span_of(f)); }, "factors"_a.noconvert())
       .def("weigh_factors", [](BayesTree& t, const Indices& f, const Doubles& w) { t.weigh_factors(span_of(f), span_of(w)); },
            "factors"_a.noconvert(), "weights"_a.noconvert())
       .def("relinearize", &BayesTree::relinearize, "threshold"_a, "most"_a = kNoLimit)
@@ -74,11 +100,21 @@ void bind_graph_tree(nb::module_& m) {
       .def("reorder", [](BayesTree& t) { unlocked([&] { t.reorder(); }); })
       .def("eliminate", [](BayesTree& t, size_t most) { return unlocked([&] { return t.eliminate(most); }); },
            "most"_a = kNoLimit)
-      .def("withdraw", &BayesTree::withdraw)
       .def("leave", [](BayesTree& t, const Indices& v) { t.leave(span_of(v)); }, "variables"_a.noconvert())
       .def("drop_left", [](BayesTree& t) { return numbers(t.drop_left()); })
       .def("held", &BayesTree::held, "variable"_a)
       .def_prop_ro("waiting", &BayesTree::waiting)
+      .def("undo", &BayesTree::undo)
+      .def("covariance", [](const BayesTree& t, const Indices& v) {
+             return doubles(unlocked([&] { return t.covariance(span_of(v)); }));
+           }, "variables"_a.noconvert())
+      .def("joint_covariance", [](const BayesTree& t, const Indices& v) {
+             return doubles(unlocked([&] { return t.joint_covariance(span_of(v)); }));
+           }, "variables"_a.noconvert())
+      .def("clique_table", &clique_table)
+      .def("made", [](const BayesTree& t) { return numbers(std::vector<int32_t>(t.made())); })
+      .def("save", &save)
+      .def("load", &load, "state"_a)
       .def("solve", [](BayesTree& t, double wildfire, double threshold) { unlocked([&] { t.solve(wildfire, threshold); }); },
            "wildfire"_a, "threshold"_a)
       .def("counts", &counts)
@@ -91,6 +127,8 @@ void bind_graph_tree(nb::module_& m) {
       .def("largest_step", &BayesTree::largest_step)
       .def("cost", &costs)
       .def("bytes", &BayesTree::bytes)
+      .def_prop_ro("fluid", &BayesTree::fluid)
+      .def_prop_ro("slots", &BayesTree::slots)
       .def_prop_ro("variables", &BayesTree::variables)
       .def_prop_ro("cliques", &BayesTree::cliques)
       .def_prop_ro("factors", &BayesTree::factors);

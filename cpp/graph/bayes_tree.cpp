@@ -49,6 +49,7 @@ std::vector<int32_t> BayesTree::add_variables(Manifold manifold, int dof, std::s
     if (free.empty()) {
       free.push_back(static_cast<int32_t>(dof_.size()));
       ++free_count_;
+      ++grown_;
       manifold_.push_back(manifold);
       dof_.push_back(dof);
       theta_at_.push_back(static_cast<int64_t>(theta_.size()));
@@ -79,15 +80,6 @@ void BayesTree::free_variable(int32_t variable) {
   held_[v] = frozen_[v] = 0;
   free_variables_[family_of(manifold_[v], dof_[v])].push_back(variable);
   ++free_count_;
-}
-
-void BayesTree::withdraw() {
-  for (const int32_t f : removed_) factors_[static_cast<size_t>(f)].removed = 0;
-  for (const int32_t f : loose_) drop_factor(f);
-  for (const int32_t v : touched_) touched_flag_[static_cast<size_t>(v)] = 0;
-  for (size_t i = fresh_.size(); i-- > 0;) free_variable(fresh_[i]);  // the first one is given again first
-  for (std::vector<int32_t>* list : {&touched_, &fresh_, &loose_, &removed_}) list->clear();
-  indivisible_ = false;
 }
 
 void BayesTree::hold(std::span<const int32_t> variables) {
@@ -162,8 +154,7 @@ std::vector<int32_t> BayesTree::add_factors(int32_t index, std::span<const int32
 
 void BayesTree::remove_factors(std::span<const int32_t> numbers) {
   for (const int32_t f : numbers)
-    require(f >= 0 && static_cast<size_t>(f) < factors_.size() && factors_[static_cast<size_t>(f)].kind >= 0 &&
-                factors_[static_cast<size_t>(f)].removed == 0, "a factor that there is not");
+    require(has_factors({&f, 1}) && factors_[static_cast<size_t>(f)].removed == 0, "a factor that there is not");
   indivisible_ = indivisible_ || !numbers.empty();
   for (const int32_t f : numbers) {
     TreeFactor& factor = factors_[static_cast<size_t>(f)];
@@ -175,14 +166,20 @@ void BayesTree::remove_factors(std::span<const int32_t> numbers) {
   }
 }
 
+bool BayesTree::has_factors(std::span<const int32_t> numbers) const {
+  return std::all_of(numbers.begin(), numbers.end(), [&](int32_t f) {
+    return f >= 0 && static_cast<size_t>(f) < factors_.size() && factors_[static_cast<size_t>(f)].kind >= 0;
+  });
+}
+
 void BayesTree::weigh_factors(std::span<const int32_t> numbers, std::span<const double> weights) {
-  require(numbers.size() == weights.size(), "one weight a factor");
+  require(numbers.size() == weights.size() && has_factors(numbers), "one weight a factor that there is");
   indivisible_ = indivisible_ || !numbers.empty();
   for (size_t i = 0; i < numbers.size(); ++i) {
-    TreeFactor& factor = factors_.at(static_cast<size_t>(numbers[i]));
-    require(factor.kind >= 0, "a factor that there is not");
+    TreeFactor& factor = factors_[static_cast<size_t>(numbers[i])];
     FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
     if (kind.weight.empty()) kind.weight.assign(kind.count, 1.0);
+    weighed_.push_back({numbers[i], kind.weight[static_cast<size_t>(factor.index)]});
     kind.weight[static_cast<size_t>(factor.index)] = weights[i];
     factor.stale = 1;
     for (int a = 0; a < kind.arity; ++a)

@@ -70,9 +70,8 @@ class BayesTree {
   std::vector<int32_t> add_factors(int32_t kind, std::span<const int32_t> variables, std::span<const double> measurement,
                                    std::span<const double> sqrt_information);
   void remove_factors(std::span<const int32_t> factors);
+  bool has_factors(std::span<const int32_t> factors) const;
   void weigh_factors(std::span<const int32_t> factors, std::span<const double> weights);
-  // Takes back what was added and removed since the last elimination.
-  void withdraw();
 
   // --- one update, step by step ---
   // Variables whose step is longer than the threshold take it into their linearisation point; returns how many.
@@ -90,6 +89,8 @@ class BayesTree {
   void reorder();
   // At most about `most` variables, whole fronts and at least one; the tree is then open until later calls have done the rest.
   int32_t eliminate(size_t most);
+  // Undoes everything since the last update ended: the tree is as it was then, to the bit.
+  void undo() { roll_back(); }
   // Steps from the root down, as far as they change by more than the threshold.
   void solve(double wildfire, double relinearize_threshold);
 
@@ -102,12 +103,14 @@ class BayesTree {
 
   // --- what it says ---
   size_t variables() const { return dof_.size() - free_count_; }
+  size_t slots() const { return dof_.size(); }  // numbers below this are, or were, variables
   size_t waiting() const { return open_ ? affected_.size() : 0; }  // variables that are not eliminated yet
   bool held(int32_t variable) const { return held_.at(static_cast<size_t>(variable)) != 0; }
   size_t cliques() const { return cliques_.size() - free_cliques_.size(); }
   size_t factors() const { return factors_.size() - free_factors_.size(); }
   std::vector<double> estimate(std::span<const int32_t> variables) const;  // packed, one after another
   std::vector<double> linearization_point(std::span<const int32_t> variables) const;
+  size_t fluid() const { return fluid_.size(); }
   bool pending() const { return !fluid_.empty(); }  // steps longer than the last threshold
   bool idle() const { return touched_.empty() && relinearized_.empty() && fresh_.empty(); }
   std::span<const double> theta() const { return theta_; }
@@ -115,7 +118,13 @@ class BayesTree {
   double largest_step() const;
   GroupCost cost() const;         // of all factors at the estimate
   size_t bytes() const;
-  std::vector<double> covariance(std::span<const int32_t> variables) const;  // blocks, one after another
+  // Covariances at the linearisation point: of each variable, blocks one after another; or of all of them together (D, D).
+  std::vector<double> covariance(std::span<const int32_t> variables) const;
+  std::vector<double> joint_covariance(std::span<const int32_t> variables) const;
+  // The whole state between updates as bytes, and back; both go through the same list of members.
+  std::vector<uint8_t> save() const;
+  void load(std::span<const uint8_t> bytes);
+  const std::vector<int32_t>& made() const { return made_; }  // cliques of the last update
   const std::vector<Clique>& all_cliques() const { return cliques_; }
   const std::vector<int32_t>& clique_of() const { return clique_of_; }
 
@@ -125,6 +134,11 @@ class BayesTree {
   struct Saved {  // of a relinearised variable, in case the update fails
     int32_t variable;
     std::vector<double> theta, delta;
+  };
+
+  struct OldFactor {  // what a factor was, in case the update fails
+    int32_t factor;
+    double weight;
   };
 
   void touch(int32_t variable);
@@ -150,6 +164,9 @@ class BayesTree {
   void commit(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update, size_t done);
   void make_cliques(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update, size_t done);
   void place_open_factors(const Plan& plan, size_t done, Rest& rest);
+  void shrink(size_t variables);
+  void restore(const std::vector<Saved>& saved);
+  void restore_factors();
   void free_variable(int32_t variable);
   void summarize(int32_t clique);
   void forget_below(int32_t clique, std::vector<int32_t>& dropped);
@@ -163,6 +180,9 @@ class BayesTree {
   void release(int32_t clique);
   void solve_clique(int32_t clique, double wildfire, double threshold);
   bool rows_changed(const Clique& clique) const;
+  template <typename Archive>
+  void archive(Archive& with);
+  void check_loaded() const;
 
   // Variables.
   std::vector<Manifold> manifold_;
@@ -199,6 +219,10 @@ class BayesTree {
   std::vector<int32_t> touched_;        // by new or removed factors
   std::vector<int32_t> relinearized_;
   std::vector<Saved> saved_;
+  std::vector<OldFactor> old_, weighed_;
+  std::vector<double> old_blocks_;      // of old_, one after another
+  std::vector<int32_t> fluid_before_;
+  bool looked_at_fluid_ = false;
   std::vector<int32_t> fresh_;          // variables not in the tree yet
   std::vector<int32_t> loose_;          // factors not in the tree yet
   std::vector<int32_t> removed_;        // factors that leave it
@@ -206,6 +230,10 @@ class BayesTree {
   std::vector<int32_t> local_;          // number of a variable among the affected
   bool open_ = false;                   // between two slices
   bool indivisible_ = false;            // factors were removed or weighed: done in one go, so that it can be undone
+  bool detached_ = false;
+  size_t grown_ = 0;                    // fresh variables whose numbers are new
+  size_t eliminated_ = 0;               // variables, since the last solve
+  std::vector<Saved> job_saved_;        // as saved_, by the earlier slices of an elimination
   Rest carried_;                        // the open part, as it was when this update began
   std::vector<int32_t> undo_;           // variables whose linearisation point was put back while the tree was open
   std::vector<int32_t> leaving_;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 // How an update of the Bayes tree ends: what was eliminated becomes cliques, wholly or in part, or all is as it was before.
 #include <algorithm>
+#include <iterator>
 #include <limits>
 #include <utility>
 
@@ -126,11 +127,13 @@ void BayesTree::commit(const Plan& plan, const std::vector<double*>& factor, con
   }
   place_open_factors(plan, done, rest);
   for (const int32_t f : removed_) drop_factor(f);
+  job_saved_.insert(job_saved_.end(), std::make_move_iterator(saved_.begin()), std::make_move_iterator(saved_.end()));
   finish_update();
   undo_.clear();
   swap_rest(rest);
   open_ = !affected_.empty();
-  if (!open_) saved_.clear();
+  if (!open_) job_saved_.clear();
+  eliminated_ += counts_.variables;
 }
 
 void BayesTree::make_cliques(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update,
@@ -172,33 +175,83 @@ void BayesTree::place_open_factors(const Plan& plan, size_t done, Rest& rest) {
   }
 }
 
-// The tree itself has not been changed: only what was linearised anew, added and marked is undone. While the tree is open,
-// cliques made by earlier slices speak of the new linearisation points: they are taken down by the next update.
-void BayesTree::roll_back() {
-  bool custom = false;
-  for (const FactorGroup& kind : kinds_) custom = custom || kind.type == FactorType::custom;
-  for (const Saved& saved : saved_) {
-    const auto v = static_cast<size_t>(saved.variable);
-    std::copy(saved.theta.begin(), saved.theta.end(), theta_.begin() + theta_at_[v]);
-    std::copy(saved.delta.begin(), saved.delta.end(), delta_.begin() + delta_at_[v]);
-    if (std::exchange(fluid_flag_[v], 1) == 0) fluid_.push_back(saved.variable);
-    if (open_ || custom) undo_.push_back(saved.variable);  // custom factors are evaluated outside: not here and now
+void BayesTree::restore(const std::vector<Saved>& saved) {
+  for (const Saved& old : saved) {
+    const auto v = static_cast<size_t>(old.variable);
+    std::copy(old.theta.begin(), old.theta.end(), theta_.begin() + theta_at_[v]);
+    std::copy(old.delta.begin(), old.delta.end(), delta_.begin() + delta_at_[v]);
   }
-  saved_.clear();
+}
+
+void BayesTree::restore_factors() {
+  const double* from = old_blocks_.data();
+  for (const OldFactor& old : old_) {
+    const TreeFactor& factor = factors_[static_cast<size_t>(old.factor)];
+    const size_t size = block_size(kinds_[static_cast<size_t>(factor.kind)]);
+    std::copy_n(from, size, factor.block);
+    from += size;
+  }
   for (const int32_t f : open_factors_) {
     TreeFactor& factor = factors_[static_cast<size_t>(f)];
-    const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
-    const int32_t* scope = kind.variables.data() + static_cast<size_t>(factor.index) * static_cast<size_t>(kind.arity);
-    for (int a = 0; a < kind.arity; ++a)
-      if ((touched_flag_[static_cast<size_t>(scope[a])] & 2) != 0) factor.stale = 1;
+    if (factor.clique >= 0) factor.stale = 0;  // the others stay open, and stale where no slice came to them yet
   }
-  linearize_stale(nullptr, 0);
+  for (size_t i = weighed_.size(); i-- > 0;) {  // backwards: one may have been weighed twice
+    TreeFactor& factor = factors_[static_cast<size_t>(weighed_[i].factor)];
+    kinds_[static_cast<size_t>(factor.kind)].weight[static_cast<size_t>(factor.index)] = weighed_[i].weight;
+    factor.stale = factor.clique >= 0 ? 0 : 1;
+  }
+  for (const int32_t f : removed_) factors_[static_cast<size_t>(f)].removed = 0;
+  for (size_t i = loose_.size(); i-- > 0;) drop_factor(loose_[i]);  // backwards: their numbers come again in the same order
+}
+
+// The tree itself has not been changed: only what was linearised anew, added and marked is undone, to the bit. An elimination
+// that fails in a later slice also gives up the linearisation points that its first slice took: cliques made since then speak
+// of them, and are taken down by the next update.
+void BayesTree::roll_back() {
+  restore(saved_);
+  if (looked_at_fluid_) {
+    for (const int32_t v : fluid_) fluid_flag_[static_cast<size_t>(v)] = 0;
+    fluid_ = fluid_before_;
+    for (const int32_t v : fluid_) fluid_flag_[static_cast<size_t>(v)] = 1;
+  }
+  if (open_ && detached_) {
+    restore(job_saved_);
+    for (const Saved& saved : job_saved_) {
+      if (std::exchange(fluid_flag_[static_cast<size_t>(saved.variable)], 1) == 0) fluid_.push_back(saved.variable);
+      undo_.push_back(saved.variable);
+    }
+    job_saved_.clear();
+  }
+  restore_factors();
+  for (const int32_t v : leaving_) touched_flag_[static_cast<size_t>(v)] = 0;
+  leaving_.clear();
   for (const int32_t v : affected_) local_[static_cast<size_t>(v)] = -1;
-  withdraw();
+  const size_t kept = dof_.size() - grown_;
+  for (size_t i = fresh_.size(); i-- > 0;)
+    if (static_cast<size_t>(fresh_[i]) < kept) free_variable(fresh_[i]);
   Rest rest;
-  if (open_) rest = std::move(carried_);
+  if (open_ && detached_) {
+    rest = std::move(carried_);
+  } else if (open_) {
+    swap_rest(rest);
+  }
   finish_update();
   swap_rest(rest);
+  shrink(kept);
+}
+
+void BayesTree::shrink(size_t kept) {
+  if (kept < dof_.size()) {
+    theta_.resize(static_cast<size_t>(theta_at_[kept]));
+    delta_.resize(static_cast<size_t>(delta_at_[kept]));
+  }
+  dof_.resize(kept);
+  clique_of_.resize(kept);
+  local_.resize(kept, -1);
+  for (std::vector<int64_t>* list : {&theta_at_, &delta_at_}) list->resize(kept);
+  for (std::vector<uint8_t>* list : {&fluid_flag_, &touched_flag_, &held_, &frozen_}) list->resize(kept);
+  manifold_.resize(kept);
+  changed_.resize(kept);
 }
 
 // Forgets the work lists.
@@ -208,7 +261,12 @@ void BayesTree::finish_update() {
   for (const int32_t v : affected_) local_[static_cast<size_t>(v)] = -1;
   for (std::vector<int32_t>* list : {&touched_, &relinearized_, &fresh_, &loose_, &removed_, &taken_, &orphans_, &affected_, &open_factors_})
     list->clear();
-  indivisible_ = false;
+  saved_.clear();
+  old_.clear();
+  old_blocks_.clear();
+  weighed_.clear();
+  looked_at_fluid_ = indivisible_ = detached_ = false;
+  grown_ = 0;
   ++update_number_;
 }
 

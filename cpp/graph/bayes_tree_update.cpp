@@ -51,6 +51,8 @@ void BayesTree::flag_with(int32_t variable) {
 size_t BayesTree::relinearize(double threshold, size_t most) {
   std::vector<int32_t> kept;
   size_t count = 0;
+  fluid_before_ = fluid_;
+  looked_at_fluid_ = true;
   if (fluid_.size() > most)  // the farthest first, where not all may be taken
     std::stable_sort(fluid_.begin(), fluid_.end(), [&](int32_t a, int32_t b) { return longest_element(a) > longest_element(b); });
   for (const int32_t v : fluid_) {
@@ -90,6 +92,7 @@ void BayesTree::find_fluid(double threshold) {
 
 void BayesTree::detach() {
   if (open_) carried_ = {affected_, orphans_, open_factors_};
+  detached_ = true;
   for (const int32_t v : undo_) {
     flag_with(v);
     relinearized_.push_back(v);
@@ -210,6 +213,10 @@ void BayesTree::linearize_stale(const Plan* plan, size_t done) {
     const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
     if (plan != nullptr && kind.type != FactorType::custom && front_of(*plan, factor) >= done) continue;
     const auto index = static_cast<size_t>(factor.index);
+    if (factor.clique >= 0) {
+      old_.push_back({f, 0.0});
+      old_blocks_.insert(old_blocks_.end(), factor.block, factor.block + block_size(kind));
+    }
     linearize_group(kind, index, index + 1, theta_.data(), factor.block);
     factor.stale = 0;
     ++counts_.linearized;
@@ -329,7 +336,7 @@ void BayesTree::solve_clique(int32_t index, double wildfire, double threshold) {
   for (int32_t i = 0; i < clique.pivot_nodes; ++i) {
     const int32_t variable = clique.nodes[static_cast<size_t>(i)];
     const auto v = static_cast<size_t>(variable);
-    if (moved > wildfire) changed_[v] = solve_number_;
+    if (always || moved > wildfire) changed_[v] = solve_number_;
     double longest = 0.0;
     for (int k = 0; k < dof_[v]; ++k) {
       longest = std::max(longest, std::abs(*from));
@@ -341,8 +348,13 @@ void BayesTree::solve_clique(int32_t index, double wildfire, double threshold) {
 
 void BayesTree::solve(double wildfire, double relinearize_threshold) {
   ++solve_number_;
+  // Steps are cheap beside elimination: where that took down a good part of the tree, nothing is left stale.
+  constexpr size_t kGoodPart = 10;
+  if (std::exchange(eliminated_, 0) * kGoodPart >= variables()) wildfire = 0.0;
   for (size_t s = made_.size(); s-- > 0;) solve_clique(made_[s], wildfire, relinearize_threshold);
   std::vector<int32_t> stack(attached_);
+  for (const int32_t c : roots_)  // parts of the graph that an earlier slice was done with
+    if (cliques_[static_cast<size_t>(c)].unsolved != 0) stack.push_back(c);
   while (!stack.empty()) {
     const int32_t at = stack.back();
     stack.pop_back();

@@ -5,52 +5,16 @@
 #include <cmath>
 #include <numeric>
 
+#include "graph/regular.hpp"
+
 namespace heliograph {
 
 namespace {
 
-constexpr double kFullRank = 1e-10;  // least pivot of a matrix with a unit diagonal that counts as regular
-constexpr double kRounding = 1e-22;  // of the largest diagonal entry: a smaller one is what rounding leaves of zero
-
-// Lower Cholesky factor of a symmetric n x n matrix (row-major, lower triangle read) scaled to a unit diagonal, in place.
-// `magnitude` is what each diagonal entry was summed from, so that a sum of rounding errors is not taken for information.
-bool regular_factor(double* a, int n, const double* magnitude, double* scale) {
-  const double least = kRounding * *std::max_element(magnitude, magnitude + n);
-  for (int i = 0; i < n; ++i) {
-    if (!(magnitude[i] > least)) return false;
-    scale[i] = 1.0 / std::sqrt(magnitude[i]);
-  }
-  for (int i = 0; i < n; ++i)
-    for (int j = 0; j <= i; ++j) {
-      double x = a[i * n + j] * scale[i] * scale[j];
-      for (int k = 0; k < j; ++k) x -= a[i * n + k] * a[j * n + k];
-      if (i == j) {
-        if (!(x > kFullRank)) return false;
-        a[i * n + i] = std::sqrt(x);
-      } else {
-        a[i * n + j] = x / a[j * n + j];
-      }
-    }
-  return true;
-}
-
-// Whether the factor above exists, magnitudes being the diagonal: L D L' without roots, for the many that are only asked.
-bool regular(const double* a, int n) {
-  double l[kMaxDof * kMaxDof], d[kMaxDof], largest = 0.0;
-  for (int i = 0; i < n; ++i) largest = std::max(largest, a[i * n + i]);
-  for (int i = 0; i < n; ++i) {
-    double pivot = a[i * n + i];
-    const double least = std::max(kFullRank * pivot, kRounding * largest);
-    for (int j = 0; j < i; ++j) {
-      double x = a[i * n + j];
-      for (int k = 0; k < j; ++k) x -= l[i * n + k] * l[j * n + k] * d[k];
-      l[i * n + j] = x / d[j];
-      pivot -= x * l[i * n + j];
-    }
-    if (!(pivot > least)) return false;
-    d[i] = pivot;
-  }
-  return true;
+// Whether one factor of this type determines a variable at all values if it does at some.
+bool always_regular(FactorType type) {
+  return type == FactorType::prior || type == FactorType::between || type == FactorType::landmark ||
+         type == FactorType::linear_motion;
 }
 
 struct Slots {
@@ -119,8 +83,7 @@ class Finder {
   void index();
   void components(FreeSpace* out) const;
   void settle(int32_t v, bool fixed);
-  void ready(int32_t v);
-  bool always_regular(int32_t v) const;
+  void ready(int32_t v, const Link& factor, size_t a);
   bool attempt(int32_t v);
   void add_motion(const Link& factor, size_t a, std::vector<double>* right) const;
   void follow(int32_t v, const std::vector<double>& right);
@@ -202,20 +165,16 @@ void Finder::settle(int32_t v, bool fixed) {
 }
 
 // One more factor joins v to settled variables only. Attempts are at powers of two, and at last when the search is stuck.
-void Finder::ready(int32_t v) {
+void Finder::ready(int32_t v, const Link& factor, size_t a) {
   const int32_t count = ++ready_[at(v)];
-  if ((count & (count - 1)) != 0 || !attempt(v)) pending_.push_back(v);
-}
-
-// Whether the one factor that leads to v does so at any values.
-bool Finder::always_regular(int32_t v) const {
-  for (const int32_t f : factors_at(v)) {
-    if (open_[at(f)] != 1) continue;
-    const FactorType type = link(f).group->type;
-    return type == FactorType::prior || type == FactorType::between || type == FactorType::landmark ||
-           type == FactorType::linear_motion;
+  if (count == 1 && columns_ == 0) {  // most variables: their first factor is enough
+    tried_[at(v)] = 1;
+    if (!regular(factor.block + factor.slots->at[a][a], factor.group->dof[a])) return;
+    out_.everywhere = out_.everywhere && always_regular(factor.group->type);
+    settle(v, true);
+    return;
   }
-  return false;
+  if ((count & (count - 1)) != 0 || !attempt(v)) pending_.push_back(v);
 }
 
 bool Finder::attempt(int32_t v) {
@@ -233,7 +192,7 @@ bool Finder::attempt(int32_t v) {
   }
   if (columns_ == 0) {
     if (!regular(sum, n)) return false;
-    out_.everywhere = out_.everywhere && ready_[at(v)] == 1 && always_regular(v);
+    out_.everywhere = false;
     settle(v, true);
     return true;
   }
@@ -297,8 +256,8 @@ void Finder::drain() {
       for (const int32_t f : factors_at(queue_[next])) {
         if (--open_[at(f)] != 1) continue;
         const Link factor = link(f);
-        for (int a = 0; a < factor.group->arity; ++a)
-          if (place_[at(factor.scope[a])] == Place::open) ready(factor.scope[a]);
+        for (size_t a = 0; a < static_cast<size_t>(factor.group->arity); ++a)
+          if (place_[at(factor.scope[a])] == Place::open) ready(factor.scope[a], factor, a);
       }
     queue_.clear();
     next = 0;
@@ -464,7 +423,8 @@ FreeSpace Finder::run(std::span<const int32_t> assumed) {
     if (place_[at(v)] == Place::open) settle(v, true);
   for (const FactorGroup& group : problem_.groups())
     for (size_t k = 0; k < group.count && group.arity == 1; ++k)
-      if (place_[at(group.variables[k])] == Place::open) ready(group.variables[k]);
+      if (place_[at(group.variables[k])] == Place::open)
+        ready(group.variables[k], link(static_cast<int32_t>(group.first_factor + k)), 0);
   drain();
   std::vector<int32_t> left;
   for (size_t v = 0; v < variables_; ++v)

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: MIT
 #include "graph/multifrontal.hpp"
 
+#include <algorithm>
 #include <atomic>
 #include <condition_variable>
+#include <exception>
 #include <limits>
 #include <memory>
 #include <mutex>
@@ -80,8 +82,21 @@ class Queue {
       const auto t = static_cast<size_t>(ready_.back());
       ready_.pop_back();
       lock.unlock();
-      run(tasks_.begin[t], tasks_.end[t]);
+      std::exception_ptr failure;
+      try {
+        run(tasks_.begin[t], tasks_.end[t]);
+      } catch (...) {
+        failure = std::current_exception();
+      }
       lock.lock();
+      if (failure) {  // nobody waits for what now never comes
+        if (!failure_) failure_ = failure;
+        ready_.clear();
+        left_ = 0;
+        wake_.notify_all();
+        return;
+      }
+      if (left_ == 0) return;
       --left_;
       const int32_t parent = tasks_.parent[t];
       if (parent >= 0 && --tasks_.waits[static_cast<size_t>(parent)] == 0) ready_.push_back(parent);
@@ -89,9 +104,16 @@ class Queue {
     }
   }
 
+  size_t tasks() const { return tasks_.begin.size(); }
+
+  void rethrow() const {
+    if (failure_) std::rethrow_exception(failure_);
+  }
+
  private:
   Tasks tasks_;
   size_t left_;
+  std::exception_ptr failure_;
   std::vector<int32_t> ready_;
   std::mutex mutex_;
   std::condition_variable wake_;
@@ -127,8 +149,9 @@ int64_t Multifrontal::run_tasks(const Assembly& assembly, int threads) {
   Queue queue(split(plan_, threads));
   std::atomic<int64_t> failure{std::numeric_limits<int64_t>::max()};
   const auto worker = [&] {
-    std::vector<double> scratch(static_cast<size_t>(kScratch));
+    std::vector<double> scratch;
     queue.work([&](int32_t begin, int32_t end) {
+      scratch.resize(static_cast<size_t>(kScratch));
       for (int32_t s = begin; s < end; ++s) {
         const FrontView& front = plan_.fronts[static_cast<size_t>(s)];
         const size_t size = static_cast<size_t>(front.update_height) * static_cast<size_t>(front.rows);
@@ -148,9 +171,11 @@ int64_t Multifrontal::run_tasks(const Assembly& assembly, int threads) {
   };
   {
     std::vector<std::jthread> pool;
-    for (int i = 1; i < threads; ++i) pool.emplace_back(worker);
+    const size_t workers = std::min(static_cast<size_t>(threads), queue.tasks());
+    for (size_t i = 1; i < workers; ++i) pool.emplace_back(worker);
     worker();
   }
+  queue.rethrow();
   return failure.load() == std::numeric_limits<int64_t>::max() ? -1 : failure.load();
 }
 

@@ -14,14 +14,15 @@ import typer
 from heliograph.cli import options
 
 if TYPE_CHECKING:
-    from heliograph.graph import FactorGraph, PoseGraphFile, Solution, Values
+    from heliograph.cli.incremental import Incremental
+    from heliograph.graph import FactorGraph, ISAM2Settings, PoseGraphFile, Solution, Values
     from heliograph.graph.kernels import Kernel
 
 __all__ = ["parse_robust", "solve"]
 
 _ARCHIVE_MAGIC = b"PK"
 _TORO = (".graph", ".toro")
-_WORDS = {"gn": "Gauss-Newton", "lm": "Levenberg-Marquardt", "dogleg": "Dogleg"}
+_WORDS = {"gn": "Gauss-Newton", "lm": "Levenberg-Marquardt", "dogleg": "Dogleg", "isam2": "iSAM2 after the last pose"}
 
 # By name: the class in `heliograph.graph`, and its customary width (95 % efficient on Gaussian noise, where one is).
 _KERNELS = {
@@ -40,6 +41,7 @@ class Solver(str, Enum):
     gn = "gn"
     lm = "lm"
     dogleg = "dogleg"
+    isam2 = "isam2"
 
 
 class Init(str, Enum):
@@ -80,30 +82,55 @@ def solve(
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Picture before and after (.png, .pdf, .svg).")
     ] = None,
+    skip: Annotated[
+        int, typer.Option("--relinearize-skip", metavar="N", min=1, help="isam2: linearise anew every N-th update.")
+    ] = 1,
+    threshold: Annotated[
+        float, typer.Option("--relinearize-threshold", min=0.0, help="isam2: where a step is longer [rad, m].")
+    ] = 0.1,
+    wildfire: Annotated[
+        float, typer.Option("--wildfire", min=0.0, help="isam2: smaller changes are not carried on [rad, m].")
+    ] = 1e-3,
     json: options.Json = False,
 ) -> None:
     """Find the poses that a pose graph makes most likely."""
-    from heliograph.graph import pose_graph_of
-    from heliograph.graph import solve as minimise
+    from heliograph.errors import ConfigError
+    from heliograph.graph import ISAM2Settings, pose_graph_of
     from heliograph.graph.g2o import check_toro
 
     kernel = None if robust is None else parse_robust(robust)
     for path in (output, plot):
         _check_folder(path)
+    if solver is Solver.isam2:
+        if init is Init.chordal:
+            raise ConfigError("--init chordal is for the other solvers: isam2 starts poses from its own estimate")
+        init = Init.odometry
     task = _task(graph, init, kernel)
     if output is not None and output.suffix in _TORO:
         check_toro(task.file or pose_graph_of(task.graph, task.values))
     for note in task.notes:
         print(f"note: {note}", file=sys.stderr)
-    initial = "chordal" if init is Init.chordal else "auto"
-    solution = minimise(task.graph, task.values, solver.value, initial=initial, threads=threads)
-    if json and initial == "auto" and solution.start != "given":
+    settings = ISAM2Settings(relinearize_skip=skip, relinearize_threshold=threshold, wildfire=wildfire)
+    solution = _minimised(task, solver, settings, chordal=init is Init.chordal, threads=threads)
+    if json and init is not Init.chordal and solution.start != "given" and solver is not Solver.isam2:
         print(f"note: start: {solution.start}", file=sys.stderr)
     written = _write(task, solution, output, plot, title=graph.stem)
     facts = _facts(graph, task, solution, solver, robust, threads, written)
     for warning in facts["warnings"]:
         print(f"warning: {warning}", file=sys.stderr)
     typer.echo(jsonlib.dumps(facts, allow_nan=False) if json else "\n".join(_lines(facts)))
+
+
+def _minimised(
+    task: _Task, solver: Solver, settings: ISAM2Settings, *, chordal: bool, threads: int
+) -> Solution | Incremental:
+    from heliograph.cli.incremental import solve_incrementally
+    from heliograph.graph import solve as minimise
+
+    if solver is Solver.isam2:
+        return solve_incrementally(task.graph, task.values, settings)
+    initial = "chordal" if chordal else "auto"
+    return minimise(task.graph, task.values, solver.value, initial=initial, threads=threads)
 
 
 def parse_robust(text: str) -> Kernel:
@@ -175,7 +202,9 @@ def _is_archive(path: Path) -> bool:
         return path.suffix == ".npz"  # its reader tells what is wrong
 
 
-def _write(task: _Task, solution: Solution, output: Path | None, plot: Path | None, *, title: str) -> list[str]:
+def _write(
+    task: _Task, solution: Solution | Incremental, output: Path | None, plot: Path | None, *, title: str
+) -> list[str]:
     """Write what was asked for and return the names."""
     from heliograph.atomic import atomic_path
     from heliograph.errors import OutputError
@@ -202,7 +231,13 @@ def _write(task: _Task, solution: Solution, output: Path | None, plot: Path | No
 
 
 def _facts(
-    path: Path, task: _Task, solution: Solution, solver: Solver, robust: str | None, threads: int, written: list[str]
+    path: Path,
+    task: _Task,
+    solution: Solution | Incremental,
+    solver: Solver,
+    robust: str | None,
+    threads: int,
+    written: list[str],
 ) -> dict[str, Any]:
     """Return the account of a solution, as `--json` prints it."""
     from heliograph.lie import SE2, SE3
@@ -238,6 +273,7 @@ def _facts(
         "status": solution.status,
         "solve_seconds": solution.seconds["total"],
         "seconds": dict(solution.seconds),
+        **getattr(solution, "facts", {}),
         "notes": task.notes,
         "warnings": warnings,
         "written": written,
@@ -257,6 +293,12 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         f"chi2 {facts['initial_chi2']:.6g} -> {facts['final_chi2']:.6g}{per_dof}{robust}",
         f"{facts['iterations']} iterations of {_WORDS[facts['solver']]} in {facts['solve_seconds']:.3f} s ({stages})",
     ]
+    if facts["solver"] == "isam2":
+        lines.append(
+            f"an update {facts['mean_ms']:.3f} ms on average, {facts['p50_ms']:.3f} median, "
+            f"{facts['p99_ms']:.3f} for 99 %, {facts['max_ms']:.3f} at most; chi2 {facts['last_update_chi2']:.6g} after the last; "
+            f"{facts['bytes_per_pose']:.0f} bytes a pose"
+        )
     if facts["written"]:
         lines.append(f"written: {', '.join(facts['written'])}")
     lines.append(f"status: {facts['status']}")

@@ -7,6 +7,7 @@ from heliograph.graph.factor import Factor
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.factors import Bearing, Between, Landmark, LinearMotion, Position, Prior, Range
 from heliograph.graph.families import Family, family_of, vectors
+from heliograph.graph.fixed_lag import FixedLagSmoother
 from heliograph.graph.free_motion import FreeMotion
 from heliograph.graph.g2o import read_pose_graph, write_g2o, write_toro
 from heliograph.graph.gnc import RobustSettings, RobustSolution, solve_robust
@@ -20,6 +21,7 @@ from heliograph.graph.posegraph_of import pose_graph_of
 from heliograph.graph.settings import SolverSettings
 from heliograph.graph.solution import Solution
 from heliograph.graph.solve import solve
+from heliograph.graph.tree_views import CliqueRecord, plot_cliques, tree_to_dot
 from heliograph.graph.values import Values
 
 __all__ = [
@@ -28,6 +30,7 @@ __all__ = [
     "Bearing",
     "Between",
     "Cauchy",
+    "CliqueRecord",
     "Constrained",
     "Covariance",
     "Diagnosis",
@@ -35,6 +38,7 @@ __all__ = [
     "Factor",
     "FactorGraph",
     "Family",
+    "FixedLagSmoother",
     "FreeMotion",
     "GemanMcClure",
     "Huber",
@@ -61,6 +65,7 @@ __all__ = [
     "family_of",
     "load_graph",
     "odometry_start",
+    "plot_cliques",
     "plot_poses",
     "pose_graph_of",
     "read_pose_graph",
@@ -68,6 +73,7 @@ __all__ = [
     "solve",
     "solve_robust",
     "to_dot",
+    "tree_to_dot",
     "vectors",
     "write_g2o",
     "write_toro",

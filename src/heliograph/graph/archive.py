@@ -21,7 +21,7 @@ from heliograph.graph.families import FAMILIES, Family, vectors
 from heliograph.graph.records import FactorRecord
 from heliograph.graph.values import Values
 
-__all__ = ["load_graph", "save_graph"]
+__all__ = ["KERNELS", "family_called", "load_graph", "name_of", "save_graph"]
 
 VERSION = 1
 
@@ -37,7 +37,7 @@ _NOISES: dict[str, type[noise.Noise]] = {
         noise.Constrained,
     )
 }
-_KERNELS: dict[str, type[kernels.Kernel]] = {
+KERNELS: dict[str, type[kernels.Kernel]] = {
     cls.__name__: cls for cls in map(kernels.__dict__.__getitem__, kernels.__all__) if cls is not kernels.Kernel
 }
 _LIE = {family.name: family for family in FAMILIES.values()}
@@ -64,7 +64,7 @@ def save_graph(path: Path | str, graph: FactorGraph, values: Values) -> None:
     arrays: _Arrays = {"fixed": graph.fixed}
     families, records = [], []
     for k, (family, packed) in enumerate(zip(values.families(), values.packed(), strict=True)):
-        families.append(_named(family))
+        families.append(name_of(family))
         arrays[f"values{k}.packed"] = packed
     arrays["keys"] = values.keys()
     counts = list(values.counts())
@@ -120,11 +120,13 @@ def load_graph(path: Path | str, *, factors: Iterable[type[Factor]] = ()) -> tup
         raise FormatError(path, f"is no graph archive, or damaged ({error}); write it anew with save_graph") from error
 
 
-def _named(family: Family) -> str | int:
+def name_of(family: Family) -> str | int:
+    """Return what files call a family: its name, or the dimension of vectors."""
     return family.dof if family.lie is None else family.name
 
 
-def _family(name: str | int) -> Family:
+def family_called(name: str | int) -> Family:
+    """Return the family that files call so."""
     return _LIE[name] if isinstance(name, str) else vectors(name)
 
 
@@ -136,8 +138,8 @@ def _describe(record: FactorRecord) -> dict[str, Any]:
         "rows": record.rows,
         "noise": type(record.noise).__name__,
         "kernel": None if kernel is None else [type(kernel).__name__, kernel.width.hex()],
-        "measured": None if record.measured is None else _named(record.measured),
-        "allowed": [[_named(family) for family in families] for families in record.allowed],
+        "measured": None if record.measured is None else name_of(record.measured),
+        "allowed": [[name_of(family) for family in families] for families in record.allowed],
         "data": len(getattr(record, "data", ())),
     }
 
@@ -147,7 +149,7 @@ def _values(contents: Mapping[str, Any], arrays: _Arrays) -> Values:
     packed = [arrays[f"values{k}.packed"] for k in range(len(contents["families"]))]
     start = 0
     for name, count, numbers in zip(contents["families"], contents["counts"], packed, strict=True):
-        values.insert(arrays["keys"][start : start + count], _family(name).unpack(numbers))
+        values.insert(arrays["keys"][start : start + count], family_called(name).unpack(numbers))
         start += count
     # Once more as they were: a direction made from its numbers is divided by its length, which may change a last bit.
     return values.with_packed(packed)
@@ -156,18 +158,18 @@ def _values(contents: Mapping[str, Any], arrays: _Arrays) -> Values:
 def _graph(contents: Mapping[str, Any], arrays: _Arrays, own: Mapping[str, type[Factor]], path: Path) -> FactorGraph:
     graph = FactorGraph()
     for k, entry in enumerate(contents["records"]):
-        kernel = None if entry["kernel"] is None else _KERNELS[entry["kernel"][0]](float.fromhex(entry["kernel"][1]))
+        kernel = None if entry["kernel"] is None else KERNELS[entry["kernel"][0]](float.fromhex(entry["kernel"][1]))
         name, count, numbers = entry["kind"], len(arrays[f"factors{k}.keys"]), arrays[f"factors{k}.noise"]
         cls = _own_class(entry, own, path, count) if entry["own"] else _BUILT_IN[name]
         graph.add(
             cls.restored(
                 keys=arrays[f"factors{k}.keys"],
                 measurement=arrays[f"factors{k}.measurement"],
-                measured=None if entry["measured"] is None else _family(entry["measured"]),
+                measured=None if entry["measured"] is None else family_called(entry["measured"]),
                 rows=None if entry["own"] else entry["rows"],
                 noise=noise.Constrained() if entry["noise"] == "Constrained" else _NOISES[entry["noise"]](numbers),
                 kernel=kernel,
-                allowed=tuple(tuple(_family(name) for name in names) for names in entry["allowed"]),
+                allowed=tuple(tuple(family_called(name) for name in names) for names in entry["allowed"]),
                 data=tuple(arrays[f"factors{k}.data{d}"] for d in range(entry["data"])) if entry["own"] else None,
             )
         )
@@ -183,7 +185,7 @@ def _own_class(entry: Mapping[str, Any], own: Mapping[str, type[Factor]], path: 
             f"load_graph(path, factors=[{name}])"
         )
     cls = own[name]
-    families = [[_named(family)] for family in cls.families]
+    families = [[name_of(family)] for family in cls.families]
     if cls.rows != entry["rows"] or families != entry["allowed"]:
         raise GraphError(
             f"{path}: {name} was saved with {entry['rows']} rows for {entry['allowed']}, the class given has "

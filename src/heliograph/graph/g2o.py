@@ -24,7 +24,7 @@ _FIX_PER_LINE = 20
 def read_pose_graph(path: Path | str) -> PoseGraphFile:
     """Read a g2o or TORO file.
 
-    Comments, PARAMS lines and blank lines are passed over; vertex lines may be missing, all or some.
+    Comments, PARAMS, TORO's EQUIV lines and blank lines are passed over; vertex lines may be missing, all or some.
 
     Raises
     ------
@@ -124,7 +124,8 @@ def _other_lines(
     kept = []
     for line, text in rest:
         tag, *words = text.split() or [text]
-        if tag.startswith(("#", "PARAMS")):
+        # TORO's EQUIV only repeats which ids saw one place: the edges between them say so too.
+        if tag.startswith(("#", "PARAMS")) or tag == "EQUIV":
             kept.append((line, text))
         elif tag == "FIX":
             try:

@@ -32,6 +32,8 @@ SCALAR, DIAGONAL, FULL = 0, 1, 2  # the forms of S, as the native side numbers t
 
 # Of the matrix scaled to a unit diagonal: six printed digits leave up to 5e-6 in every number.
 _ROUNDING = 3e-5
+# Likewise: an eigenvalue of this size is the rounding error of zero.
+_ZERO = 1e-14
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -246,9 +248,13 @@ class Information(Noise):
         if np.count_nonzero(omega) == np.count_nonzero(diagonal) and (diagonal >= 0.0).all():
             return np.asarray(np.sqrt(diagonal)[:, :, None] * np.eye(omega.shape[1]), dtype=np.float64)
         try:
-            return np.swapaxes(np.linalg.cholesky(omega), 1, 2)
+            lower = np.linalg.cholesky(omega)
         except np.linalg.LinAlgError:
             return _semidefinite_roots(omega, scale, name)
+        # A pivot may be what rounding leaves of zero; as information it would hold what nothing holds.
+        if (np.einsum("nii->ni", lower) <= np.sqrt(_ZERO) * scale).any():
+            return _semidefinite_roots(omega, scale, name)
+        return np.swapaxes(lower, 1, 2)
 
 
 def _semidefinite_roots(omega: Array, scale: Array, name: Namer) -> Array:
@@ -265,7 +271,8 @@ def _semidefinite_roots(omega: Array, scale: Array, name: Namer) -> Array:
         raise GraphError(
             f"{name(index)}: its information matrix is not positive semi-definite: smallest eigenvalue {smallest:.6g}"
         )
-    roots = np.sqrt(np.maximum(values, 0.0))[:, :, None] * np.swapaxes(directions, 1, 2) * scale[:, None, :]
+    values = np.where(values <= _ZERO, 0.0, values)
+    roots = np.sqrt(values)[:, :, None] * np.swapaxes(directions, 1, 2) * scale[:, None, :]
     return _upper(roots)
 
 

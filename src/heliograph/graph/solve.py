@@ -65,26 +65,21 @@ def solve(
     UnderconstrainedError
         Variables are not determined by the graph; the message names them and the directions in which they are free.
     """
-    if method not in METHODS:
-        raise ConfigError(f"no solver '{method}'; there are {', '.join(METHODS)}{closest(method, METHODS)}")
-    if initial not in STARTS:
-        raise ConfigError(f"no start '{initial}'; there are {', '.join(STARTS)}{closest(initial, STARTS)}")
-    settings = settings or SolverSettings()
+    _check(method, initial)
     problem = Problem(graph, values, threads=threads)
     if problem.free_scalars == 0:
         raise GraphError("the graph leaves nothing to estimate: every variable is held, or there is none")
-    clock = _Clock()
-    problem.analyze(settings.ordering)
-    clock.lap("order")
+    run = _Run(METHODS[method], settings or SolverSettings(), observer or _ignore, _Clock())
+    problem.analyze(run.settings.ordering)
+    run.clock.lap("order")
     first = problem.linearize()
     problem.check_finite(first)
-    clock.lap("iterate")
+    run.clock.lap("iterate")
     before = require_determined(problem)
-    clock.lap("diagnose")
-    run = _Run(METHODS[method], settings, observer or _ignore, clock)
+    run.clock.lap("diagnose")
     start, found, steps = _search(problem, values, initial, first, run)
     diagnosis = require_solved(problem, before=before, failed=found.status == "indefinite")
-    clock.lap("diagnose")
+    run.clock.lap("diagnose")
     return Solution(
         values=problem.values(),
         status=found.status,
@@ -97,10 +92,17 @@ def solve(
         degrees_of_freedom=problem.rows - problem.free_scalars,
         start=start.text,
         steps=steps,
-        seconds=clock.seconds(),
+        seconds=run.clock.seconds(),
         diagnosis=diagnosis,
         plan=problem.native.plan(),
     )
+
+
+def _check(method: str, initial: str) -> None:
+    if method not in METHODS:
+        raise ConfigError(f"no solver '{method}'; there are {', '.join(METHODS)}{closest(method, METHODS)}")
+    if initial not in STARTS:
+        raise ConfigError(f"no start '{initial}'; there are {', '.join(STARTS)}{closest(initial, STARTS)}")
 
 
 class _Run(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from heliograph.graph.factor_graph import Added, FactorGraph
 from heliograph.graph.noise import Whitening
 from heliograph.graph.records import FactorRecord
 
-__all__ = ["subgraph"]
+__all__ = ["split", "subgraph"]
 
 Indices = NDArray[np.int64]
 
@@ -41,6 +42,21 @@ def subgraph(
                 numbers.append(added.first + rows)
     part.fix(graph.fixed)
     return part, np.concatenate(numbers) if numbers else np.zeros(0, dtype=np.int64)
+
+
+def split(graph: FactorGraph, part: Indices, count: int) -> Iterator[FactorGraph]:
+    """Yield `count` graphs, each of the factors whose `part` (N,) is its number; no variable is held in them."""
+    groups = []
+    for added in graph.groups():
+        mine = part[added.first : added.first + len(added.record)]
+        order = np.argsort(mine, kind="stable")
+        groups.append((added, order, np.searchsorted(mine[order], np.arange(count + 1)).tolist()))
+    for number in range(count):
+        one = FactorGraph()
+        for added, order, bounds in groups:
+            if bounds[number] < bounds[number + 1]:
+                one.adopt(_rows(added, order[bounds[number] : bounds[number + 1]], bare=False))
+        yield one
 
 
 def _rows(added: Added, rows: Indices, *, bare: bool) -> Added:

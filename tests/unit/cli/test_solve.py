@@ -77,6 +77,54 @@ def test_all_solvers_and_starts_reach_one_optimum(call, city):
         assert facts(call("city.g2o", "--json", *options))[0]["final_chi2"] == pytest.approx(best, rel=1e-4)
 
 
+REPLAY_KEYS = {
+    *("updates", "update_seconds", "mean_ms", "p50_ms", "p99_ms", "max_ms", "reeliminated", "relinearized"),
+    *("last_update_chi2", "finish_seconds", "bytes_per_pose"),
+}
+
+
+def test_isam2_replays_from_odometry_and_ends_at_the_optimum(call, city):
+    best = facts(call("city.g2o", "--json"))[0]["final_chi2"]
+    found, err = facts(call("city.g2o", "--json", "--solver", "isam2", "-o", "out.g2o"))
+    assert err == ""
+    assert set(found) >= KEYS | REPLAY_KEYS
+    assert found["final_chi2"] == pytest.approx(best, rel=1e-6)
+    assert found["final_chi2"] <= found["last_update_chi2"] < found["initial_chi2"]
+    assert found["updates"] == 120 and found["status"] == "converged"
+    assert found["solve_seconds"] == pytest.approx(found["update_seconds"] + found["finish_seconds"])
+    assert found["p50_ms"] <= found["p99_ms"] <= found["max_ms"]
+    assert found["init"] == "odometry"
+    assert (found["relinearize_skip"], found["relinearize_threshold"], found["wildfire"]) == (1, 0.1, 1e-3)
+    assert facts(call("out.g2o", "--json"))[0]["initial_chi2"] == pytest.approx(best, rel=1e-4)
+
+
+def test_isam2_does_not_look_at_the_vertices(call, city, tmp_path):
+    write_g2o(tmp_path / "bare.g2o", city.file)
+    write_g2o(tmp_path / "true.g2o", city.file.with_values(truth_of(city)))
+    results = []
+    for name in ("bare.g2o", "true.g2o"):
+        found, err = facts(call(name, "--solver", "isam2", "--json"))
+        assert err == ""
+        results.append((found["last_update_chi2"], found["reeliminated"]))
+    assert results[0] == results[1]
+
+
+def test_isam2_takes_its_thresholds(call, city):
+    options = ("city.g2o", "--json", "--solver", "isam2")
+    usual = facts(call(*options))[0]
+    exact = facts(call(*options, "--relinearize-threshold", 0, "--wildfire", 0))[0]
+    rare = facts(call(*options, "--relinearize-skip", 50))[0]
+    assert rare["relinearized"] < exact["relinearized"]
+    assert exact["reeliminated"] > usual["reeliminated"]
+    assert "an update" in call("city.g2o", "--solver", "isam2")[1]
+
+
+def truth_of(world):
+    values = Values()
+    values.insert(np.arange(len(world.truth)), world.truth)
+    return values
+
+
 def test_output_is_the_graph_with_solved_poses(call, city, tmp_path):
     found, _ = facts(call("city.g2o", "-o", "out.g2o", "--json"))
     assert found["written"] == ["out.g2o"]
@@ -161,6 +209,8 @@ def test_plot_is_written(call, city, tmp_path):
         (["city.g2o", "--robust", "huber:x"], "the width 'x'"),
         (["city.g2o", "--robust", "huber:-1"], "the width '-1'"),
         (["city.g2o", "--solver", "newton"], "newton"),
+        (["city.g2o", "--solver", "isam2", "--init", "chordal"], "isam2 starts poses"),
+        (["city.g2o", "--solver", "isam2", "--relinearize-skip", "0"], "relinearize-skip"),
         (["city.g2o", "-o", "no/where.g2o"], "there is no folder no"),
         (["city.g2o", "--plot", "p.xyz"], "use .png"),
         (["bad.g2o"], "line 1"),
@@ -179,6 +229,15 @@ def test_bad_input_is_one_line_and_exit_code_2(call, city, tmp_path, arguments, 
     code, out, err = call(*arguments)
     assert (code, out) == (2, "")
     assert err.count("\n") == 1 and err.startswith("error: ") and message in err
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("name", ["M3500", "intel", "kitti_00", "sphere2500"])
+def test_isam2_reaches_the_optimum_of_public_graphs(call, shared_data, name):
+    file = shared_data / "posegraphs" / f"{name}.g2o"
+    best = facts(call(file, "--json"))[0]["final_chi2"]
+    found, _ = facts(call(file, "--json", "--solver", "isam2"))
+    assert found["final_chi2"] == pytest.approx(best, rel=2e-4)
 
 
 @pytest.mark.real
