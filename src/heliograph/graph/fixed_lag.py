@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +26,8 @@ class FixedLagSmoother:
     Parameters
     ----------
     lag : float
-        Variables older than the newest stamp by more than this leave, in the unit of the stamps (say seconds). Positive.
+        Variables older than the newest stamp by more than this leave. Positive, in the unit of the stamps
+        (say seconds).
     settings : ISAM2Settings, optional
         Thresholds.
 
@@ -38,9 +38,9 @@ class FixedLagSmoother:
 
     Notes
     -----
-    A variable without a stamp, and one that is held, stays for good. What leaves is summarised as `ISAM2.marginalize` says:
-    linear at its neighbours' linearisation points, which then stay. On a linear graph the kept estimates and covariances
-    are those of the smoother that keeps everything.
+    A variable without a stamp, and one that is held, stays for good. What leaves is summarised as `ISAM2.marginalize`
+    says: linear at its neighbours' linearisation points, which then stay. On a linear graph the kept estimates and
+    covariances are those of the smoother that keeps everything.
     """
 
     def __init__(self, lag: float, settings: ISAM2Settings | None = None) -> None:
@@ -57,7 +57,10 @@ class FixedLagSmoother:
         graph: FactorGraph | None = None,
         values: Values | None = None,
         stamps: Mapping[int, float] | tuple[ArrayLike, ArrayLike] | None = None,
-        **options: Any,
+        *,
+        remove: ArrayLike = (),
+        iterate: float | None = None,
+        most_variables: int | None = None,
     ) -> UpdateResult:
         """Update as `ISAM2.update` does, then marginalise out what has become too old.
 
@@ -67,8 +70,8 @@ class FixedLagSmoother:
             New factors and variables.
         stamps : mapping of key to time, or (keys, times), optional
             Of new variables, or later ones of variables that are to be kept longer. Finite.
-        **options
-            As `ISAM2.update` takes them.
+        remove, iterate, most_variables
+            As `ISAM2.update` takes them. What a bound leaves open is done before anything is marginalised out.
 
         Raises
         ------
@@ -76,7 +79,7 @@ class FixedLagSmoother:
             A stamp is not finite or is of an unknown key, or as `ISAM2.update` says. Nothing has changed.
         """
         times = self._checked(stamps, values)
-        result = self.smoother.update(graph, values, **options)
+        result = self.smoother.update(graph, values, remove=remove, iterate=iterate, most_variables=most_variables)
         for key, time in times.items():
             if self.smoother._state.held(key):
                 continue
