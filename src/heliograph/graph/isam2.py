@@ -169,16 +169,17 @@ class ISAM2:
             if passes >= most_iterations:
                 break
             self._state.native.find_fluid(iterate)
-            work = work + self._pass(iterate, 0.0, None, None, clock)
+            more = self._pass(iterate, 0.0, None, None, clock)
+            work = [old + new for old, new in zip(work, more, strict=True)]
             passes += 1
         self._updates += 1
         return UpdateResult(
             factors=added,
-            relinearized=int(work[0]),
-            reeliminated=int(work[1]),
-            cliques=int(work[2]),
-            linearized=int(work[4]),
-            solved=int(work[5]),
+            relinearized=work[0],
+            reeliminated=work[1],
+            cliques=work[2],
+            linearized=work[4],
+            solved=work[5],
             iterations=passes,
             converged=converged,
             cost_before=before,
@@ -188,7 +189,7 @@ class ISAM2:
 
     def _pass(
         self, threshold: float, wildfire: float, graph: FactorGraph | None, values: Values | None, clock: _Clock
-    ) -> NDArray[np.int64]:
+    ) -> list[int]:
         """Do steps 2 to 7 once; return the counts of what was done."""
         tree = self._state.native
         marked = tree.relinearize(threshold) if threshold < np.inf else 0  # 2. fluid relinearisation
@@ -205,7 +206,7 @@ class ISAM2:
         self._state.settle()
         tree.solve(wildfire, self.settings.relinearize_threshold)  # 7. wildfire
         clock.lap("solve")
-        return np.array((marked, *tree.counts()))
+        return [marked, *tree.counts()]
 
     def switch(self, factors: ArrayLike, on: bool) -> None:
         """Switch factors off, or on again; the next `update` brings it in. If that one is refused, all stays as it was.
