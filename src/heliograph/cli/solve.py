@@ -296,8 +296,8 @@ def _lines(facts: dict[str, Any]) -> list[str]:
     if facts["solver"] == "isam2":
         lines.append(
             f"an update {facts['mean_ms']:.3f} ms on average, {facts['p50_ms']:.3f} median, "
-            f"{facts['p99_ms']:.3f} for 99 %, {facts['max_ms']:.3f} at most; chi2 {facts['last_update_chi2']:.6g} after the last; "
-            f"{facts['bytes_per_pose']:.0f} bytes a pose"
+            f"{facts['p99_ms']:.3f} for 99 %, {facts['max_ms']:.3f} at most; "
+            f"chi2 {facts['last_update_chi2']:.6g} after the last; {facts['bytes_per_pose']:.0f} bytes a pose"
         )
     if facts["written"]:
         lines.append(f"written: {', '.join(facts['written'])}")

@@ -58,6 +58,9 @@ class Family:
     opener: Callable[[Array], Array] = field(repr=False, compare=False)
     flaw: Callable[[Array], Array] = field(repr=False, compare=False)
 
+    def __hash__(self) -> int:  # of all fields it would be slow, and families are looked up for every factor
+        return 32 * self.code + self.dof
+
     def pack_elements(self, elements: Array) -> Array:
         """Return the packed form (N, storage), C-contiguous, of values as arrays (N, *shape)."""
         return np.ascontiguousarray(self.packer(elements))

@@ -154,9 +154,9 @@ class ISAM2:
             Evaluate all factors before and after; this takes time that grows with the whole graph.
         most_variables : int, optional
             Linearise at most so many variables anew, the farthest first, and eliminate at most so many (a single clique
-            is not divided). What is left is ``pending``: the next updates go on with it, whatever they add. Meanwhile old
-            variables keep their estimate and new ones the value they came with; steps are computed when the last part
-            is done. An update without the bound does all that is pending. Not bounded: an update that removes or
+            is not divided). What is left is ``pending``: the next updates go on with it, whatever they add. Meanwhile
+            old variables keep their estimate and new ones the value they came with; steps are computed when the last
+            part is done. An update without the bound does all that is pending. Not bounded: an update that removes or
             switches factors, the ordering, and the back-substitution.
 
         Raises
@@ -182,16 +182,17 @@ class ISAM2:
             if passes >= most_iterations:
                 break
             self._state.native.find_fluid(iterate)
-            work = work + self._pass(iterate, 0.0, None, None, clock, most)
+            more = self._pass(iterate, 0.0, None, None, clock, most)
+            work = [old + new for old, new in zip(work, more, strict=True)]
             passes += 1
         self._updates += 1
         return UpdateResult(
             factors=added,
-            relinearized=int(work[0]),
-            reeliminated=int(work[1]),
-            cliques=int(work[2]),
-            linearized=int(work[4]),
-            solved=int(work[5]),
+            relinearized=work[0],
+            reeliminated=work[1],
+            cliques=work[2],
+            linearized=work[4],
+            solved=work[5],
             iterations=passes,
             converged=converged,
             pending=self._state.pending(),
@@ -208,7 +209,7 @@ class ISAM2:
         values: Values | None,
         clock: _Clock,
         most: int,
-    ) -> NDArray[np.int64]:
+    ) -> list[int]:
         """Do steps 2 to 7 once; return the counts of what was done."""
         tree = self._state.native
         due = threshold < np.inf and not tree.waiting  # never in the middle of an elimination
@@ -227,7 +228,7 @@ class ISAM2:
         if not tree.waiting:
             tree.solve(wildfire, self.settings.relinearize_threshold)  # 7. wildfire
         clock.lap("solve")
-        return np.array((marked, *tree.counts()))
+        return [marked, *tree.counts()]
 
     def finish(self) -> None:
         """Do all that bounded updates left to be eliminated."""

@@ -91,9 +91,8 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
         if own is not None:
             state._own[number] = _own_members(Own(own, families), arrays, f"own{number}", len(shapes))
     state.native.load(arrays["tree"].tobytes())
-    if state.native.variables != len(state._number) or not state.native.slots == len(state._keys) == len(
-        state._families
-    ):
+    slots = {state.native.slots, len(state._keys), len(state._families)}
+    if state.native.variables != len(state._number) or len(slots) != 1:
         raise ValueError("its parts do not belong together")
     state._switched = {int(number): weight for number, weight in arrays["switched"].tolist()}
     return state

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,11 +42,10 @@ class Own:
     data: dict[int, tuple[Array, ...]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Staged:
+class _Staged(NamedTuple):
     """Factors of one kind, checked and ready to be handed over."""
 
-    rows: NDArray[np.int64]  # of all new factors, which these are
+    rows: slice | NDArray[np.int64]  # of all new factors, which these are
     kind: int
     scopes: Ints
     measurement: Array
@@ -77,13 +76,11 @@ class TreeState:
         self._register(values)
         try:
             staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
-            held = self._numbers(graph.fixed, "held by `fix`")
-            if not self._fresh.issuperset(held.tolist()):
-                raise GraphError(f"{key_list(graph.fixed)}: only variables that are new in an update can be held")
+            held = self._held(graph.fixed)
         except GraphError:
             self.undo()
             raise
-        if held.size:
+        if held is not None:
             self.native.hold(held)
         if len(staged) == 1:
             return self._enter(staged[0])
@@ -143,7 +140,7 @@ class TreeState:
 
     def marginalize(self, keys: ArrayLike) -> None:
         """Take variables out of the tree; what their factors said stays as a summary."""
-        numbers = self._numbers(as_keys(keys).reshape(-1), "to be marginalised out")
+        numbers = self._numbers(as_keys(keys).reshape(-1), lambda: "to be marginalised out")
         held = [self._keys[number] for number in numbers.tolist() if self.native.held(number)]
         if held:
             raise GraphError(f"{key_list(np.array(held))}: held by `fix`; what is known is not marginalised out")
@@ -179,50 +176,62 @@ class TreeState:
         """Return whether a variable is held at its value."""
         return bool(self.native.held(self._number[key]))
 
-    def _numbers(self, keys: NDArray[np.int64], what: str) -> Ints:
-        found = np.array([self._number.get(key, -1) for key in keys.reshape(-1).tolist()], dtype=np.int32)
-        left = [key for key, number in zip(keys.reshape(-1).tolist(), found.tolist(), strict=True) if number < 0]
-        left = [key for key in left if key in self._left]
-        if left:
-            raise GraphError(f"{key_list(np.array(left))}: {what}, but marginalised out; name only keys that are kept")
-        if found.size and int(found.min()) < 0:
-            raise GraphError(
-                f"{key_list(keys.reshape(-1)[found < 0])}: {what}, but without a value; insert one with the factor"
-            )
+    def _held(self, keys: NDArray[np.int64]) -> Ints | None:
+        if not keys.size:
+            return None
+        held = self._numbers(keys, lambda: "held by `fix`")
+        if not self._fresh.issuperset(held.tolist()):
+            raise GraphError(f"{key_list(keys)}: only variables that are new in an update can be held")
+        return held
+
+    def _numbers(self, keys: NDArray[np.int64], what: Callable[[], str]) -> Ints:
+        """Return the numbers of the variables, of the keys' shape; `what` tells a message what names them."""
+        numbers = [self._number.get(key, -1) for key in keys.ravel().tolist()]
+        found = np.array(numbers, dtype=np.int32).reshape(keys.shape)
+        if -1 in numbers:
+            left = keys[np.array([key in self._left for key in keys.ravel().tolist()]).reshape(keys.shape)]
+            if left.size:
+                raise GraphError(f"{key_list(left)}: {what()}, but marginalised out; name only keys that are kept")
+            raise GraphError(f"{key_list(keys[found < 0])}: {what()}, but without a value; insert one with the factor")
         return found
 
     def _stage(self, added: Added) -> list[_Staged]:
-        record = added.record
         if added.whitening.constrained:
             raise GraphError(f"{added.name(0)}: a hard constraint; they can be solved for in a batch only")
-        scopes = self._numbers(record.keys, f"in {added.name(0)} and what follows it").reshape(record.keys.shape)
+        scopes = self._numbers(added.record.keys, lambda: f"in {added.name(0)} and what follows it")
         combinations: dict[tuple[Family, ...], list[int]] = {}
-        for row, scope in enumerate(scopes):
-            combinations.setdefault(tuple([self._families[v] for v in scope.tolist()]), []).append(row)
-        staged = []
-        for families, members in combinations.items():
-            fault = record.mismatch(families)
-            if fault is not None:
-                raise GraphError(f"{added.name(members[0])}: {fault}")
-            everything = len(members) == len(scopes)
-            rows = slice(None) if everything else np.array(members)
-            data = tuple(item[rows] for item in record.data) if isinstance(record, Factor) else ()
-            roots = added.whitening.sqrt_information
-            staged.append(
-                _Staged(
-                    rows=added.first + np.array(members),
-                    kind=self._kind(added, families, tuple(item.shape[1:] for item in data)),
-                    scopes=scopes if everything else np.ascontiguousarray(scopes[rows]),
-                    measurement=np.ascontiguousarray(record.measurement[rows]),
-                    sqrt_information=roots if added.whitening.shared else np.ascontiguousarray(roots[rows]),
-                    data=data,
-                )
-            )
-        return staged
+        for row, scope in enumerate(scopes.tolist()):
+            combinations.setdefault(tuple([self._families[v] for v in scope]), []).append(row)
+        if len(combinations) == 1:  # the usual case: all of them as they are
+            return [self._part(added, scopes, next(iter(combinations)), None)]
+        return [self._part(added, scopes, families, np.array(rows)) for families, rows in combinations.items()]
 
-    def _kind(self, added: Added, families: tuple[Family, ...], shapes: tuple[tuple[int, ...], ...]) -> int:
+    def _part(
+        self, added: Added, scopes: Ints, families: tuple[Family, ...], members: NDArray[np.int64] | None
+    ) -> _Staged:
+        """Return those factors of a record that join variables of such families: some rows, or all."""
         record, noise = added.record, added.whitening
+        data = record.data if isinstance(record, Factor) else ()
+        kind = self._kind(added, families, 0 if members is None else int(members[0]))
+        if members is None:
+            rows = slice(added.first, added.first + len(record))
+            return _Staged(rows, kind, scopes, record.measurement, noise.sqrt_information, data)
+        return _Staged(
+            added.first + members,
+            kind,
+            np.ascontiguousarray(scopes[members]),
+            np.ascontiguousarray(record.measurement[members]),
+            noise.sqrt_information if noise.shared else np.ascontiguousarray(noise.sqrt_information[members]),
+            tuple([item[members] for item in data]),
+        )
+
+    def _kind(self, added: Added, families: tuple[Family, ...], row: int) -> int:
+        record, noise = added.record, added.whitening
+        fault = record.mismatch(families)
+        if fault is not None:
+            raise GraphError(f"{added.name(row)}: {fault}")
         own = type(record) if isinstance(record, Factor) else None
+        shapes = tuple([item.shape[1:] for item in record.data]) if isinstance(record, Factor) else ()
         name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)
         kind = self._kinds.get(name)
         if kind is None:
@@ -336,7 +345,7 @@ class TreeState:
         """Return the covariance of one variable (d, d), or of several of one size (N, d, d)."""
         self._nothing_waiting()
         array = as_keys(keys)
-        numbers = self._numbers(array, "asked for")
+        numbers = self._numbers(array.reshape(-1), lambda: "asked for")
         if not numbers.size:
             return np.zeros((0, 0, 0))
         dofs = {self._families[v].dof for v in numbers.tolist()}
@@ -353,7 +362,7 @@ class TreeState:
     def joint(self, keys: ArrayLike) -> Array:
         """Return the joint covariance (D, D) of several variables, in the order of the keys."""
         self._nothing_waiting()
-        numbers = self._numbers(as_keys(keys), "asked for")
+        numbers = self._numbers(as_keys(keys).reshape(-1), lambda: "asked for")
         out = self.native.joint_covariance(numbers)
         size = int(np.sqrt(out.size))
         out = out.reshape(size, size)
@@ -370,7 +379,7 @@ class TreeState:
     def at(self, keys: ArrayLike) -> Value:
         """Return the estimate of keys of one family: a lie value or an array."""
         array = as_keys(keys)
-        numbers = self._numbers(array, "asked for")
+        numbers = self._numbers(array.reshape(-1), lambda: "asked for")
         family = self._families[numbers[0]]
         if any(self._families[v] is not family and self._families[v] != family for v in numbers.tolist()):
             raise GraphError(f"{key_list(array)}: of several families; ask for one at a time")

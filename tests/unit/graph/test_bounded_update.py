@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from heliograph.errors import GraphError, UnderconstrainedError
-from heliograph.graph import ISAM2, Between, FactorGraph, Isotropic, ISAM2Settings, Prior, Values
+from heliograph.graph import ISAM2, Between, FactorGraph, ISAM2Settings, Isotropic, Prior, Values
 from heliograph.graph.factor import Factor
 from heliograph.lie import SE2
 
@@ -44,7 +44,7 @@ def between(i, j, T_i_j, own):
 
 
 def run(most, *, own=False, closures=((0, 100),), n=N, smoother=None):
-    """Odometry whose heading drifts; closures are found when their later pose is new. Initial values by dead reckoning."""
+    """Drifting odometry; closures come with their later pose, initial values from dead reckoning."""
     rng = np.random.default_rng(11)
     smoother = smoother or ISAM2(SETTINGS)
     results = []

@@ -10,8 +10,8 @@ from heliograph.graph import (
     Diagonal,
     FactorGraph,
     FixedLagSmoother,
-    Isotropic,
     ISAM2Settings,
+    Isotropic,
     LinearMotion,
     Prior,
     Values,
@@ -165,7 +165,7 @@ class TestNonlinear:
             kept.update(graph, values)
         kept.marginalize(np.arange(5))
         state = kept._state
-        at = state._numbers(np.array([5, 6]), "asked for")
+        at = state._numbers(np.array([5, 6]), lambda: "asked for")
         before = state.native.linearization_point(at)
         kept.update(graph_of(Between(5, 9, SE2.exp(np.array([0.3, 3.0, 1.0])), Isotropic(0.001))), iterate=1e-9)
         np.testing.assert_array_equal(state.native.linearization_point(at), before)
