@@ -133,6 +133,7 @@ class BayesTree {
   Elements elements() const;
   Adjacency adjacency(const Elements& elements, std::span<const int32_t> position) const;
   void commit(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update);
+  int vanished(const Plan& plan, size_t front, const std::vector<double*>& factor, std::span<const double> diagonal) const;
   void roll_back();
   void finish_update();
   void drop_factor(int32_t factor);

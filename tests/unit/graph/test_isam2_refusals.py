@@ -179,3 +179,30 @@ def test_known_keys_cannot_be_given_again(rng):
     with pytest.raises(GraphError, match="already in the smoother"):
         smoother.update(steps[3].graph(), steps[3].values)
     assert bits(smoother) == before
+
+
+@pytest.mark.parametrize("shape", ["star", "chain", "ring"])
+@pytest.mark.parametrize("count", [3, 40])
+def test_a_component_without_an_anchor_is_refused_and_one_with_it_is_not(shape, count, rng):
+    smoother, graph, values = ISAM2(), FactorGraph(), Values()
+    keys = np.arange(count)
+    values.insert(keys, SE3.exp(rng.normal(size=(count, 6))))
+    before = 0 * keys[1:] if shape == "star" else keys[:-1]
+    graph.add(Between(before, keys[1:], SE3.exp(rng.normal(size=(count - 1, 6))), Isotropic(0.01)))
+    if shape == "ring":
+        graph.add(Between(count - 1, 0, SE3.exp(rng.normal(size=6)), Isotropic(0.01)))
+    with pytest.raises(UnderconstrainedError, match="6 degrees of freedom"):
+        smoother.update(graph, values)
+    assert len(smoother.estimate()) == 0
+    graph.add(Prior(1, SE3.identity(), Isotropic(10.0)))
+    assert smoother.update(graph, values).reeliminated == count
+
+
+def test_a_long_open_chain_is_not_taken_for_a_singular_one(rng):
+    smoother, count = ISAM2(), 3000
+    graph, values = FactorGraph(), Values()
+    values.insert(np.arange(count), SE2.exp(np.column_stack([np.zeros(count), np.arange(count), np.zeros(count)])))
+    graph.add(Between(np.arange(count - 1), np.arange(1, count), SE2.exp(np.array([0.0, 1.0, 0.0])), Isotropic(5e-5)))
+    graph.fix([0])
+    smoother.update(graph, values)
+    assert smoother.covariance(count - 1)[2, 2] > 1e9 * 5e-5**2
