@@ -18,12 +18,13 @@ constexpr double kVanished = 1e-14;
 // a free motion of the whole shows, what the fronts below have taken counts as well: it may have left only rounding errors.
 int BayesTree::vanished(const Plan& plan, size_t index, const std::vector<double*>& factor, std::span<const double> diagonal) const {
   const FrontView& front = plan.fronts[index];
+  const size_t elements = plan.fronts.size() - orphans_.size();  // where those that were eliminated before begin
   std::vector<double> magnitude(diagonal.begin() + front.first_pivot, diagonal.begin() + front.first_pivot + front.pivots);
   for (int32_t c = front.rows == 0 ? front.child_begin : front.child_end; c < front.child_end; ++c) {
     const auto child = static_cast<size_t>(plan.children[static_cast<size_t>(c)]);
     const FrontView& below = plan.fronts[child];
-    const bool made = child < factor.size();
-    const Clique* orphan = made ? nullptr : &cliques_[static_cast<size_t>(orphans_[child - factor.size()])];
+    const bool made = child < elements;
+    const Clique* orphan = made ? nullptr : &cliques_[static_cast<size_t>(orphans_[child - elements])];
     const int32_t pivots = made ? below.pivots : orphan->pivots, height = made ? below.height : orphan->height;
     const double* columns = made ? factor[child] : orphan->factor;
     for (int32_t r = 0; r < below.runs; ++r) {
