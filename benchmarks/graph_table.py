@@ -6,7 +6,7 @@ from typing import Any
 
 from benchmarks.graph_scale import exponent
 
-__all__ = ["graph_section", "scale_section"]
+__all__ = ["graph_section", "graph_summary", "scale_section"]
 
 _Rows = list[dict[str, Any]]
 _BAR = 0.5  # at most this part of the fastest rival's time
@@ -59,6 +59,18 @@ def graph_section(rows: _Rows, table: Any) -> str:  # noqa: ANN401
         for row in rows
     ]
     return text + "\nEvery solver:\n\n" + table(["graph", "solver", "ms", "iterations", "chi2", "optimum"], every)
+
+
+def graph_summary(rows: _Rows, table: Any) -> str:  # noqa: ANN401
+    """Return ours and the fastest of the others, a line a graph."""
+    body = []
+    for name in dict.fromkeys(row["graph"] for row in rows):
+        part = [row for row in rows if row["graph"] == name]
+        ours, best = _fastest(part, ours=True), _fastest(part, ours=False)
+        if ours is not None and best is not None:
+            times = [f"{1e3 * row['seconds']:.1f}" for row in (ours, best)]
+            body.append([name, ours["poses"], ours["edges"], times[0], times[1], _called(best)])
+    return table(["graph", "poses", "edges", "ours ms", "next ms", "the next fastest at the optimum"], body)
 
 
 def scale_section(rows: _Rows, table: Any) -> str:  # noqa: ANN401

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.graph_table import graph_section, scale_section
+from benchmarks.graph_table import graph_section, graph_summary, scale_section
 
 __all__ = ["write_readme", "write_table"]
 
@@ -47,12 +47,21 @@ def write_readme(results: Path, target: Path) -> None:
         kitti = [f"{r['ate_m']:.2f}", f"{r['rpe_rotation_deg']:.3f}"]
         body.append([r["system"], r["sensors"], *kitti, *simulated])
     head = ["", "sensors", "KITTI ATE m", "RPE deg / 10 m", "warehouse ATE mm", "wall ms a scan", "cpu ms", "peak MB"]
-    before, start, rest = target.read_text().partition(_MARKS[0])
-    _, end, after = rest.partition(_MARKS[1])
-    target.write_text(f"{before}{start}\n{_table(head, body)}{end}{after}")
+    _put(target, _MARKS, _table(head, body))
+    if "graph" in found:
+        _put(target, _GRAPH_MARKS, graph_summary(found["graph"], _table))
+
+
+def _put(target: Path, marks: tuple[str, str], text: str) -> None:
+    """Replace what stands between two marks."""
+    before, start, rest = target.read_text().partition(marks[0])
+    _, end, after = rest.partition(marks[1])
+    if end:
+        target.write_text(f"{before}{start}\n{text}{end}{after}")
 
 
 _MARKS = ("<!-- benchmarks: written by `python -m benchmarks table` -->", "<!-- /benchmarks -->")
+_GRAPH_MARKS = ("<!-- graphs: written by `python -m benchmarks table` -->", "<!-- /graphs -->")
 
 _INTRO = """# Benchmarks
 

@@ -9,6 +9,8 @@ namespace heliograph {
 namespace {
 
 using Doubles = Array<const double, nb::ndim<1>>;
+constexpr size_t kNoLimit = size_t{1} << 40;
+
 using Indices = Array<const int32_t, nb::ndim<1>>;
 
 template <typename Work>
@@ -75,7 +77,7 @@ void bind_graph_tree(nb::module_& m) {
   nb::class_<BayesTree>(m, "BayesTree")
       .def(nb::init<>())
       .def("add_variables", [](BayesTree& t, int manifold, int dof, const Doubles& packed) {
-             return t.add_variables(static_cast<Manifold>(manifold), dof, span_of(packed));
+             return numbers(t.add_variables(static_cast<Manifold>(manifold), dof, span_of(packed)));
            }, "manifold"_a, "dof"_a, "packed"_a.noconvert())
       .def("hold", [](BayesTree& t, const Indices& v) { t.hold(span_of(v)); }, "variables"_a.noconvert())
       .def("add_kind", [](BayesTree& t, int type, const Indices& manifolds, const Indices& dofs, int rows, int noise, int kernel,
@@ -90,13 +92,18 @@ void bind_graph_tree(nb::module_& m) {
       .def("has_factors", [](const BayesTree& t, const Indices& f) { return t.has_factors(span_of(f)); }, "factors"_a.noconvert())
       .def("weigh_factors", [](BayesTree& t, const Indices& f, const Doubles& w) { t.weigh_factors(span_of(f), span_of(w)); },
            "factors"_a.noconvert(), "weights"_a.noconvert())
-      .def("relinearize", &BayesTree::relinearize, "threshold"_a, "most"_a = static_cast<size_t>(1) << 40)
+      .def("relinearize", &BayesTree::relinearize, "threshold"_a, "most"_a = kNoLimit)
       .def("find_fluid", &BayesTree::find_fluid, "threshold"_a)
       .def("detach", [](BayesTree& t) { unlocked([&] { t.detach(); }); })
       .def("stale_factors", [](const BayesTree& t, int kind) { return numbers(t.stale_factors(kind)); }, "kind"_a)
       .def("set_custom", &set_custom, "factors"_a.noconvert(), "residual"_a.noconvert(), "jacobians"_a.noconvert())
       .def("reorder", [](BayesTree& t) { unlocked([&] { t.reorder(); }); })
-      .def("eliminate", [](BayesTree& t) { return unlocked([&] { return t.eliminate(); }); })
+      .def("eliminate", [](BayesTree& t, size_t most) { return unlocked([&] { return t.eliminate(most); }); },
+           "most"_a = kNoLimit)
+      .def("leave", [](BayesTree& t, const Indices& v) { t.leave(span_of(v)); }, "variables"_a.noconvert())
+      .def("drop_left", [](BayesTree& t) { return numbers(t.drop_left()); })
+      .def("held", &BayesTree::held, "variable"_a)
+      .def_prop_ro("waiting", &BayesTree::waiting)
       .def("undo", &BayesTree::undo)
       .def("covariance", [](const BayesTree& t, const Indices& v) {
              return doubles(unlocked([&] { return t.covariance(span_of(v)); }));
@@ -120,6 +127,8 @@ void bind_graph_tree(nb::module_& m) {
       .def("largest_step", &BayesTree::largest_step)
       .def("cost", &costs)
       .def("bytes", &BayesTree::bytes)
+      .def_prop_ro("fluid", &BayesTree::fluid)
+      .def_prop_ro("slots", &BayesTree::slots)
       .def_prop_ro("variables", &BayesTree::variables)
       .def_prop_ro("cliques", &BayesTree::cliques)
       .def_prop_ro("factors", &BayesTree::factors);

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
+#include <utility>
 
 #include "graph/make_group.hpp"
 #include "util/isa.hpp"
@@ -26,34 +27,59 @@ void put(std::vector<T>& stack, size_t index, const T* row, size_t width) {
   std::copy_n(row, width, stack.begin() + static_cast<std::ptrdiff_t>(index * width));
 }
 
+constexpr int kFamilies = 7 * (kMaxDof + 1);
+
+size_t family_of(Manifold manifold, int dof) { return static_cast<size_t>(static_cast<int>(manifold) * (kMaxDof + 1) + dof); }
+
 void require(bool condition, const char* message) {
   if (!condition) throw std::invalid_argument(message);
 }
 
 }  // namespace
 
-BayesTree::BayesTree() : kernels_(kernels()), scratch_(static_cast<size_t>(kScratch)) {}
+BayesTree::BayesTree() : kernels_(kernels()), scratch_(static_cast<size_t>(kScratch)) {
+  free_variables_.resize(static_cast<size_t>(kFamilies));
+}
 
-int32_t BayesTree::add_variables(Manifold manifold, int dof, std::span<const double> packed) {
+std::vector<int32_t> BayesTree::add_variables(Manifold manifold, int dof, std::span<const double> packed) {
   const auto storage = static_cast<size_t>(storage_of(manifold, dof));
   require(dof > 0 && dof <= kMaxDof && packed.size() % storage == 0, "values of another size");
-  const auto first = static_cast<int32_t>(dof_.size());
+  std::vector<int32_t> numbers, &free = free_variables_[family_of(manifold, dof)];
   for (size_t i = 0; i < packed.size() / storage; ++i) {
-    manifold_.push_back(manifold);
-    fresh_.push_back(static_cast<int32_t>(dof_.size()));
-    dof_.push_back(dof);
-    theta_at_.push_back(static_cast<int64_t>(theta_.size()));
-    delta_at_.push_back(static_cast<int64_t>(delta_.size()));
-    theta_.insert(theta_.end(), packed.begin() + static_cast<std::ptrdiff_t>(i * storage),
-                  packed.begin() + static_cast<std::ptrdiff_t>((i + 1) * storage));
-    delta_.resize(delta_.size() + static_cast<size_t>(dof), 0.0);
-    clique_of_.push_back(-1);
-    changed_.push_back(0);
-    fluid_flag_.push_back(0);
-    touched_flag_.push_back(0);
-    held_.push_back(0);
+    if (free.empty()) {
+      free.push_back(static_cast<int32_t>(dof_.size()));
+      ++free_count_;
+      ++grown_;
+      manifold_.push_back(manifold);
+      dof_.push_back(dof);
+      theta_at_.push_back(static_cast<int64_t>(theta_.size()));
+      delta_at_.push_back(static_cast<int64_t>(delta_.size()));
+      theta_.resize(theta_.size() + storage);
+      delta_.resize(delta_.size() + static_cast<size_t>(dof), 0.0);
+      clique_of_.push_back(-1);
+      changed_.push_back(0);
+      for (std::vector<uint8_t>* flags : {&fluid_flag_, &touched_flag_, &held_, &frozen_}) flags->push_back(0);
+    }
+    const int32_t variable = free.back();
+    free.pop_back();
+    --free_count_;
+    std::copy_n(packed.data() + i * storage, storage, theta_.begin() + theta_at_[static_cast<size_t>(variable)]);
+    fresh_.push_back(variable);
+    numbers.push_back(variable);
   }
-  return first;
+  return numbers;
+}
+
+// Its number may be given again: nothing speaks of it any more.
+void BayesTree::free_variable(int32_t variable) {
+  const auto v = static_cast<size_t>(variable);
+  if (std::exchange(fluid_flag_[v], 0) != 0) std::erase(fluid_, variable);
+  std::fill_n(delta_.begin() + delta_at_[v], dof_[v], 0.0);
+  clique_of_[v] = -1;
+  changed_[v] = 0;
+  held_[v] = frozen_[v] = 0;
+  free_variables_[family_of(manifold_[v], dof_[v])].push_back(variable);
+  ++free_count_;
 }
 
 void BayesTree::hold(std::span<const int32_t> variables) {
@@ -129,6 +155,7 @@ std::vector<int32_t> BayesTree::add_factors(int32_t index, std::span<const int32
 void BayesTree::remove_factors(std::span<const int32_t> numbers) {
   for (const int32_t f : numbers)
     require(has_factors({&f, 1}) && factors_[static_cast<size_t>(f)].removed == 0, "a factor that there is not");
+  indivisible_ = indivisible_ || !numbers.empty();
   for (const int32_t f : numbers) {
     TreeFactor& factor = factors_[static_cast<size_t>(f)];
     factor.removed = 1;
@@ -147,6 +174,7 @@ bool BayesTree::has_factors(std::span<const int32_t> numbers) const {
 
 void BayesTree::weigh_factors(std::span<const int32_t> numbers, std::span<const double> weights) {
   require(numbers.size() == weights.size() && has_factors(numbers), "one weight a factor that there is");
+  indivisible_ = indivisible_ || !numbers.empty();
   for (size_t i = 0; i < numbers.size(); ++i) {
     TreeFactor& factor = factors_[static_cast<size_t>(numbers[i])];
     FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
@@ -222,7 +250,8 @@ double BayesTree::longest_element(int32_t variable) const {
 
 double BayesTree::largest_step() const {
   double largest = 0.0;
-  for (const double d : delta_) largest = std::max(largest, std::abs(d));
+  for (size_t v = 0; v < dof_.size(); ++v)  // a frozen one's step is no sign of an estimate that has yet to settle
+    if (frozen_[v] == 0) largest = std::max(largest, longest_element(static_cast<int32_t>(v)));
   return largest;
 }
 

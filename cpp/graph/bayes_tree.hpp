@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: MIT
 // The Bayes tree (Kaess et al. 2012): the factorised graph as a tree of cliques, of which an update re-makes only the top.
 // Everything is addressed by flat indices; cliques keep their dense blocks in pooled memory.
+//
+// Two kinds of clique are not the paper's. One without pivots is a summary: what variables that were marginalised out said
+// about its rows, a linear factor at their linearisation point, which is kept from then on. And while an elimination is worked
+// through in slices the tree is open: its finished cliques are a forest, whose roots stand among the orphans.
 #pragma once
 #include <cstdint>
 #include <span>
@@ -27,6 +31,7 @@ struct Clique {
   int32_t height = 0;
   int32_t update_height = 0;
   uint32_t flagged = 0;      // number of the update that takes it down
+  uint8_t unsolved = 0;      // made since the last solve
   std::vector<int32_t> nodes;  // variables: pivots, then rows, in the order of elimination
   double* factor = nullptr;
   double* update = nullptr;
@@ -57,7 +62,7 @@ class BayesTree {
   BayesTree& operator=(const BayesTree&) = delete;
 
   // --- what the tree is of ---
-  int32_t add_variables(Manifold manifold, int dof, std::span<const double> packed);  // returns the first one's number
+  std::vector<int32_t> add_variables(Manifold manifold, int dof, std::span<const double> packed);  // returns their numbers
   // Holds variables that no update has seen yet at their values.
   void hold(std::span<const int32_t> variables);
   int32_t add_kind(FactorType type, std::span<const int32_t> manifolds, std::span<const int32_t> dofs, int rows, NoiseForm noise,
@@ -82,20 +87,30 @@ class BayesTree {
   // Orders what was taken down: the newest last. Eliminates it, with what hangs below it. Returns the variable at which the
   // normal equations are not positive definite (the tree is then as before), or -1.
   void reorder();
-  int32_t eliminate();
+  // At most about `most` variables, whole fronts and at least one; the tree is then open until later calls have done the rest.
+  int32_t eliminate(size_t most);
   // Undoes everything since the last update ended: the tree is as it was then, to the bit.
   void undo() { roll_back(); }
   // Steps from the root down, as far as they change by more than the threshold.
   void solve(double wildfire, double relinearize_threshold);
 
+  // --- what leaves ---
+  // Marks variables: the next elimination takes them first, then `drop_left` forgets them. Not while the tree is open.
+  void leave(std::span<const int32_t> variables);
+  std::vector<int32_t> drop_left();  // returns the factors that are summarised from now on
+
   const TreeCounts& counts() const { return counts_; }
 
   // --- what it says ---
-  size_t variables() const { return dof_.size(); }
+  size_t variables() const { return dof_.size() - free_count_; }
+  size_t slots() const { return dof_.size(); }  // numbers below this are, or were, variables
+  size_t waiting() const { return open_ ? affected_.size() : 0; }  // variables that are not eliminated yet
+  bool held(int32_t variable) const { return held_.at(static_cast<size_t>(variable)) != 0; }
   size_t cliques() const { return cliques_.size() - free_cliques_.size(); }
   size_t factors() const { return factors_.size() - free_factors_.size(); }
   std::vector<double> estimate(std::span<const int32_t> variables) const;  // packed, one after another
   std::vector<double> linearization_point(std::span<const int32_t> variables) const;
+  size_t fluid() const { return fluid_.size(); }
   bool pending() const { return !fluid_.empty(); }  // steps longer than the last threshold
   bool idle() const { return touched_.empty() && relinearized_.empty() && fresh_.empty(); }
   std::span<const double> theta() const { return theta_; }
@@ -114,6 +129,8 @@ class BayesTree {
   const std::vector<int32_t>& clique_of() const { return clique_of_; }
 
  private:
+  static constexpr uint8_t kLeaving = 4;  // of a touched variable's flag; 1: new factors speak of it, 2: linearised anew
+
   struct Saved {  // of a relinearised variable, in case the update fails
     int32_t variable;
     std::vector<double> theta, delta;
@@ -129,17 +146,39 @@ class BayesTree {
   void flag_with(int32_t variable);
   void unlink(int32_t clique);
   void link(int32_t clique, int32_t parent);
-  void linearize_stale();
+  void linearize_stale(const Plan* plan, size_t done);
   Elements elements() const;
   Adjacency adjacency(const Elements& elements, std::span<const int32_t> position) const;
-  void commit(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update);
+  struct Rest {  // of an elimination that is not done yet
+    std::vector<int32_t> affected, orphans, open_factors;
+  };
+
+  Plan plan_elimination() const;
+  size_t front_of(const Plan& plan, const TreeFactor& factor) const;
+  void give_back(const Plan& plan, size_t done, const std::vector<double*>& factor, const std::vector<double*>& update);
+  size_t slice_of(const Plan& plan, size_t made, size_t most) const;
+  int32_t run(const Plan& plan, size_t done, std::vector<double*>& factor, std::vector<double*>& update);
+  int32_t undetermined_fresh();
+  void number_affected();
+  void swap_rest(Rest& rest);
+  void commit(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update, size_t done);
+  void make_cliques(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update, size_t done);
+  void place_open_factors(const Plan& plan, size_t done, Rest& rest);
+  void shrink(size_t variables);
+  void restore(const std::vector<Saved>& saved);
+  void restore_factors();
+  void free_variable(int32_t variable);
+  void summarize(int32_t clique);
+  void forget_below(int32_t clique, std::vector<int32_t>& dropped);
+  void merge_summary(int32_t clique);
+  void freeze(int32_t variable);
   void roll_back();
   void finish_update();
   void drop_factor(int32_t factor);
   double longest_element(int32_t variable) const;
   int32_t new_clique();
   void release(int32_t clique);
-  void solve_clique(int32_t clique, double wildfire, bool always, double threshold);
+  void solve_clique(int32_t clique, double wildfire, double threshold);
   bool rows_changed(const Clique& clique) const;
   template <typename Archive>
   void archive(Archive& with);
@@ -153,6 +192,9 @@ class BayesTree {
   std::vector<double> theta_, delta_;
   std::vector<uint32_t> changed_;   // number of the solve in which its step last changed
   std::vector<uint8_t> fluid_flag_, held_;
+  std::vector<uint8_t> frozen_;     // a summary speaks of it: its linearisation point stays
+  std::vector<std::vector<int32_t>> free_variables_;  // by family
+  size_t free_count_ = 0;
   std::vector<int32_t> fluid_;      // candidates for relinearisation
 
   // Factors.
@@ -186,6 +228,15 @@ class BayesTree {
   std::vector<int32_t> removed_;        // factors that leave it
   std::vector<int32_t> taken_, orphans_, affected_, open_factors_, order_;
   std::vector<int32_t> local_;          // number of a variable among the affected
+  bool open_ = false;                   // between two slices
+  bool indivisible_ = false;            // factors were removed or weighed: done in one go, so that it can be undone
+  bool detached_ = false;
+  size_t grown_ = 0;                    // fresh variables whose numbers are new
+  size_t eliminated_ = 0;               // variables, since the last solve
+  std::vector<Saved> job_saved_;        // as saved_, by the earlier slices of an elimination
+  Rest carried_;                        // the open part, as it was when this update began
+  std::vector<int32_t> undo_;           // variables whose linearisation point was put back while the tree was open
+  std::vector<int32_t> leaving_;
   std::vector<int32_t> made_, attached_;  // cliques of the last update, and those hung below them
   std::vector<double> rows_, step_;
   TreeCounts counts_;

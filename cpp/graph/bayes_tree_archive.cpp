@@ -110,10 +110,19 @@ void whole_kind(Archive& with, FactorGroup& kind) {
   for (std::vector<double>& jacobian : kind.jacobian) arrays(with, jacobian);
 }
 
+template <typename Archive, typename Saved>
+void saved_variables(Archive& with, std::vector<Saved>& all) {
+  all.resize(with.count(all.size()));
+  for (Saved& saved : all) {
+    plain(with, saved.variable);
+    arrays(with, saved.theta, saved.delta);
+  }
+}
+
 template <typename Archive>
 void whole_clique(Archive& with, BlockPool& pool, Clique& clique) {
   plain(with, clique.parent, clique.child, clique.next, clique.previous, clique.pivot_nodes, clique.first_factor, clique.pivots,
-        clique.rows, clique.height, clique.update_height, clique.flagged);
+        clique.rows, clique.height, clique.update_height, clique.flagged, clique.unsolved);
   arrays(with, clique.nodes);
   if (clique.nodes.empty()) return;  // not in use
   block(with, pool, clique.factor, static_cast<size_t>(clique.height) * static_cast<size_t>(clique.pivots));
@@ -127,9 +136,12 @@ void BayesTree::archive(Archive& with) {
   uint64_t mark = kMark;
   plain(with, mark);
   if (mark != kMark) damaged();
-  arrays(with, manifold_, dof_, theta_at_, delta_at_, clique_of_, theta_, delta_, changed_, fluid_flag_, held_, fluid_);
+  arrays(with, manifold_, dof_, theta_at_, delta_at_, clique_of_, theta_, delta_, changed_, fluid_flag_, held_, frozen_, fluid_);
   arrays(with, free_factors_, free_cliques_, roots_, made_, attached_);
-  plain(with, update_number_, solve_number_, counts_);
+  arrays(with, affected_, orphans_, open_factors_, undo_);
+  for (std::vector<int32_t>& free : free_variables_) arrays(with, free);
+  saved_variables(with, job_saved_);
+  plain(with, update_number_, solve_number_, counts_, open_, free_count_, eliminated_);
   kinds_.resize(with.count(kinds_.size()));
   free_rows_.resize(kinds_.size());
   for (size_t k = 0; k < kinds_.size(); ++k) {
@@ -169,12 +181,19 @@ void BayesTree::load(std::span<const uint8_t> bytes) {
 void BayesTree::check_loaded() const {
   const size_t n = dof_.size();
   for (const size_t size : {manifold_.size(), theta_at_.size(), delta_at_.size(), clique_of_.size(), changed_.size(),
-                            fluid_flag_.size(), held_.size()})
+                            fluid_flag_.size(), held_.size(), frozen_.size()})
     if (size != n) damaged();
   const auto inside = [](int32_t index, size_t size) {
     if (index < -1 || (index >= 0 && static_cast<size_t>(index) >= size)) damaged();
   };
   for (size_t v = 0; v < n; ++v) inside(clique_of_[v], cliques_.size());
+  for (const std::vector<int32_t>& free : free_variables_)
+    for (const int32_t v : free) inside(v, n);
+  for (const std::vector<int32_t>* list : {&affected_, &undo_})
+    for (const int32_t v : *list) inside(v, n);
+  for (const Saved& saved : job_saved_) inside(saved.variable, n);
+  for (const int32_t c : orphans_) inside(c, cliques_.size());
+  for (const int32_t f : open_factors_) inside(f, factors_.size());
   for (const Clique& clique : cliques_) {
     for (const int32_t link : {clique.parent, clique.child, clique.next, clique.previous}) inside(link, cliques_.size());
     inside(clique.first_factor, factors_.size());

@@ -29,17 +29,22 @@ void BayesTree::flag_up(int32_t clique) {
 
 // Every clique that speaks of the variable: the one that eliminates it and those below that have it among their rows.
 void BayesTree::flag_with(int32_t variable) {
-  if (clique_of_[static_cast<size_t>(variable)] < 0) return;
-  std::vector<int32_t> stack{clique_of_[static_cast<size_t>(variable)]};
+  std::vector<int32_t> stack;
+  const auto push_if_named = [&](int32_t c) {
+    const std::vector<int32_t>& nodes = cliques_[static_cast<size_t>(c)].nodes;
+    const auto rows = nodes.begin() + cliques_[static_cast<size_t>(c)].pivot_nodes;
+    if (rows != nodes.begin() && std::find(rows, nodes.end(), variable) != nodes.end()) stack.push_back(c);  // no summary
+  };
+  if (clique_of_[static_cast<size_t>(variable)] >= 0) {
+    stack.push_back(clique_of_[static_cast<size_t>(variable)]);
+  } else if (open_) {
+    for (const int32_t c : orphans_) push_if_named(c);
+  }
   while (!stack.empty()) {
     const int32_t at = stack.back();
     stack.pop_back();
     flag_up(at);
-    for (int32_t c = cliques_[static_cast<size_t>(at)].child; c >= 0; c = cliques_[static_cast<size_t>(c)].next) {
-      const std::vector<int32_t>& nodes = cliques_[static_cast<size_t>(c)].nodes;
-      const auto rows = nodes.begin() + cliques_[static_cast<size_t>(c)].pivot_nodes;
-      if (std::find(rows, nodes.end(), variable) != nodes.end()) stack.push_back(c);
-    }
+    for (int32_t c = cliques_[static_cast<size_t>(at)].child; c >= 0; c = cliques_[static_cast<size_t>(c)].next) push_if_named(c);
   }
 }
 
@@ -79,14 +84,23 @@ size_t BayesTree::relinearize(double threshold, size_t most) {
 
 void BayesTree::find_fluid(double threshold) {
   for (size_t v = 0; v < dof_.size(); ++v)
-    if (fluid_flag_[v] == 0 && longest_element(static_cast<int32_t>(v)) > threshold) {
+    if (fluid_flag_[v] == 0 && frozen_[v] == 0 && longest_element(static_cast<int32_t>(v)) > threshold) {
       fluid_flag_[v] = 1;
       fluid_.push_back(static_cast<int32_t>(v));
     }
 }
 
 void BayesTree::detach() {
+  if (open_) carried_ = {affected_, orphans_, open_factors_};
+  detached_ = true;
+  for (const int32_t v : undo_) {
+    flag_with(v);
+    relinearized_.push_back(v);
+  }
   for (const int32_t v : touched_) flag_up(clique_of_[static_cast<size_t>(v)]);
+  const auto taken = [&](int32_t c) { return cliques_[static_cast<size_t>(c)].flagged == update_number_; };
+  std::erase_if(orphans_, taken);  // left over from the last slice, like open factors
+  std::erase_if(open_factors_, [&](int32_t f) { return factors_[static_cast<size_t>(f)].removed != 0; });
   std::sort(taken_.begin(), taken_.end());  // not the order of discovery: the result does not depend on it
   for (const int32_t v : relinearized_) touched_flag_[static_cast<size_t>(v)] |= 2;
   for (const int32_t c : taken_) {
@@ -95,7 +109,7 @@ void BayesTree::detach() {
     for (int32_t f = clique.first_factor; f >= 0; f = factors_[static_cast<size_t>(f)].next)
       if (factors_[static_cast<size_t>(f)].removed == 0) open_factors_.push_back(f);
     for (int32_t child = clique.child; child >= 0; child = cliques_[static_cast<size_t>(child)].next)
-      if (cliques_[static_cast<size_t>(child)].flagged != update_number_) orphans_.push_back(child);
+      if (!taken(child)) orphans_.push_back(child);
   }
   for (const int32_t v : fresh_)
     if (held_[static_cast<size_t>(v)] == 0) affected_.push_back(v);
@@ -103,8 +117,7 @@ void BayesTree::detach() {
   for (const int32_t f : loose_)
     if (factors_[static_cast<size_t>(f)].removed == 0) open_factors_.push_back(f);
   std::sort(open_factors_.begin(), open_factors_.end());
-  local_.resize(dof_.size(), -1);
-  for (size_t i = 0; i < affected_.size(); ++i) local_[static_cast<size_t>(affected_[i])] = static_cast<int32_t>(i);
+  number_affected();
   if (!relinearized_.empty())
     for (const int32_t f : open_factors_) {
       TreeFactor& factor = factors_[static_cast<size_t>(f)];
@@ -113,7 +126,12 @@ void BayesTree::detach() {
       for (int a = 0; a < kind.arity; ++a)
         if ((touched_flag_[static_cast<size_t>(scope[a])] & 2) != 0) factor.stale = 1;
     }
-  counts_ = {affected_.size(), taken_.size(), open_factors_.size(), 0, 0};
+  counts_ = {0, taken_.size(), open_factors_.size(), 0, 0};
+}
+
+void BayesTree::number_affected() {
+  local_.resize(dof_.size(), -1);
+  for (size_t i = 0; i < affected_.size(); ++i) local_[static_cast<size_t>(affected_[i])] = static_cast<int32_t>(i);
 }
 
 Elements BayesTree::elements() const {
@@ -178,20 +196,23 @@ void BayesTree::reorder() {
   std::vector<int32_t> weight(graph.size(), 1), group(graph.size(), 0);
   for (size_t i = 0; i < affected_.size(); ++i) {
     weight[i] = dof_[static_cast<size_t>(affected_[i])];
-    // What the new factors speak of is eliminated last: it stays at the top, where the next factors will touch it.
-    group[i] = (touched_flag_[static_cast<size_t>(affected_[i])] & 1) != 0 ? 2 : 1;
+    // What is to be marginalised out is eliminated first. What the new factors speak of is eliminated last: it stays at the top, where the next factors will touch it.
+    const uint8_t flag = touched_flag_[static_cast<size_t>(affected_[i])];
+    group[i] = (flag & kLeaving) != 0 ? 1 : (flag & 1) != 0 ? 3 : 2;
   }
   order_.clear();
   for (const int32_t node : minimum_degree(graph, weight, group))
     if (static_cast<size_t>(node) < affected_.size()) order_.push_back(node);
 }
 
-void BayesTree::linearize_stale() {
+// The stale ones among the open factors; with a plan, only those that its first fronts need, and the caller's own.
+void BayesTree::linearize_stale(const Plan* plan, size_t done) {
   for (const int32_t f : open_factors_) {
     TreeFactor& factor = factors_[static_cast<size_t>(f)];
     if (factor.stale == 0) continue;
-    const auto index = static_cast<size_t>(factor.index);
     const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
+    if (plan != nullptr && kind.type != FactorType::custom && front_of(*plan, factor) >= done) continue;
+    const auto index = static_cast<size_t>(factor.index);
     if (factor.clique >= 0) {
       old_.push_back({f, 0.0});
       old_blocks_.insert(old_blocks_.end(), factor.block, factor.block + block_size(kind));
@@ -202,13 +223,25 @@ void BayesTree::linearize_stale() {
   }
 }
 
-int32_t BayesTree::eliminate() {
-  linearize_stale();
+// The front in which a factor's first variable is eliminated; none where all are held.
+size_t BayesTree::front_of(const Plan& plan, const TreeFactor& factor) const {
+  const FactorGroup& kind = kinds_[static_cast<size_t>(factor.kind)];
+  const int32_t* scope = kind.variables.data() + static_cast<size_t>(factor.index) * static_cast<size_t>(kind.arity);
+  int32_t first = std::numeric_limits<int32_t>::max();
+  for (int a = 0; a < kind.arity; ++a) {
+    const int32_t node = local_[static_cast<size_t>(scope[a])];
+    if (node >= 0) first = std::min(first, plan.front_of[static_cast<size_t>(node)]);
+  }
+  return static_cast<size_t>(first);
+}
+
+Plan BayesTree::plan_elimination() const {
   const Elements old = elements();
-  std::vector<int32_t> position(affected_.size());
+  std::vector<int32_t> position(affected_.size()), weight(affected_.size());
+  std::vector<uint8_t> apart(leaving_.empty() ? 0 : affected_.size());
   for (size_t i = 0; i < order_.size(); ++i) position[static_cast<size_t>(order_[i])] = static_cast<int32_t>(i);
-  std::vector<int32_t> weight(affected_.size());
   for (size_t i = 0; i < affected_.size(); ++i) weight[i] = dof_[static_cast<size_t>(affected_[i])];
+  for (size_t i = 0; i < apart.size(); ++i) apart[i] = touched_flag_[static_cast<size_t>(affected_[i])] & kLeaving;
   std::vector<int32_t> scope(kMaxArity);
   const auto each = [&](auto&& visit) {
     for (const int32_t f : open_factors_) {
@@ -219,15 +252,31 @@ int32_t BayesTree::eliminate() {
       visit(kind, factor.block, scope.data());
     }
   };
-  Supernodes supernodes = find_supernodes(adjacency(old, position), weight, order_, old);
-  const size_t made = supernodes.size();
-  const Plan plan = PlanBuilder(each, weight, std::move(supernodes), true).build(old);
-  std::vector<double> diagonal(static_cast<size_t>(plan.scalars));
-  std::vector<double*> factor(made, nullptr), update(plan.fronts.size(), nullptr);
+  return PlanBuilder(each, weight, find_supernodes(adjacency(old, position), weight, order_, old, apart), true).build(old);
+}
+
+int32_t BayesTree::eliminate(size_t most) {
+  const Plan plan = plan_elimination();
+  const size_t made = plan.fronts.size() - orphans_.size(), done = indivisible_ ? made : slice_of(plan, made, most);
+  linearize_stale(&plan, done);
+  std::vector<double*> factor(done, nullptr), update(plan.fronts.size(), nullptr);
   for (size_t e = 0; e < orphans_.size(); ++e) update[made + e] = cliques_[static_cast<size_t>(orphans_[e])].update;
+  int32_t failed = done < made ? undetermined_fresh() : -1;
+  if (failed < 0) failed = run(plan, done, factor, update);
+  if (failed >= 0) {
+    roll_back();
+    return failed;
+  }
+  commit(plan, factor, update, done);
+  return -1;
+}
+
+// Eliminates a plan's first fronts. Returns the variable at which one is not positive definite, its blocks given back, or -1.
+int32_t BayesTree::run(const Plan& plan, size_t done, std::vector<double*>& factor, std::vector<double*>& update) {
+  std::vector<double> diagonal(static_cast<size_t>(plan.scalars));
   const PlanView view = plan.view();
   const Assembly assembly{0.0, 0.0, diagonal.data()};
-  for (size_t s = 0; s < made; ++s) {
+  for (size_t s = 0; s < done; ++s) {
     const FrontView& front = plan.fronts[s];
     factor[s] = clique_blocks_.take(static_cast<size_t>(front.height) * static_cast<size_t>(front.pivots));
     update[s] = clique_blocks_.take(static_cast<size_t>(front.update_height) * static_cast<size_t>(front.rows));
@@ -238,163 +287,18 @@ int32_t BayesTree::eliminate() {
       variable = affected_[static_cast<size_t>(plan.nodes[static_cast<size_t>(i)])];
       scalar += dof_[static_cast<size_t>(variable)];
     }
-    for (size_t done = 0; done <= s; ++done) {
-      const FrontView& f = plan.fronts[done];
-      clique_blocks_.give_back(factor[done], static_cast<size_t>(f.height) * static_cast<size_t>(f.pivots));
-      clique_blocks_.give_back(update[done], static_cast<size_t>(f.update_height) * static_cast<size_t>(f.rows));
-    }
-    roll_back();
+    give_back(plan, s + 1, factor, update);
     return variable;
   }
-  commit(plan, factor, update);
   return -1;
 }
 
-void BayesTree::unlink(int32_t index) {
-  Clique& clique = cliques_[static_cast<size_t>(index)];
-  if (clique.previous >= 0) {
-    cliques_[static_cast<size_t>(clique.previous)].next = clique.next;
-  } else if (clique.parent >= 0) {
-    cliques_[static_cast<size_t>(clique.parent)].child = clique.next;
+void BayesTree::give_back(const Plan& plan, size_t done, const std::vector<double*>& factor, const std::vector<double*>& update) {
+  for (size_t s = 0; s < done; ++s) {
+    const FrontView& f = plan.fronts[s];
+    clique_blocks_.give_back(factor[s], static_cast<size_t>(f.height) * static_cast<size_t>(f.pivots));
+    clique_blocks_.give_back(update[s], static_cast<size_t>(f.update_height) * static_cast<size_t>(f.rows));
   }
-  if (clique.next >= 0) cliques_[static_cast<size_t>(clique.next)].previous = clique.previous;
-  if (clique.parent < 0) std::erase(roots_, index);
-  clique.parent = clique.next = clique.previous = -1;
-}
-
-void BayesTree::link(int32_t index, int32_t parent) {
-  Clique& clique = cliques_[static_cast<size_t>(index)];
-  clique.parent = parent;
-  if (parent < 0) {
-    roots_.push_back(index);
-    return;
-  }
-  clique.next = cliques_[static_cast<size_t>(parent)].child;
-  if (clique.next >= 0) cliques_[static_cast<size_t>(clique.next)].previous = index;
-  cliques_[static_cast<size_t>(parent)].child = index;
-}
-
-int32_t BayesTree::new_clique() {
-  if (free_cliques_.empty()) {
-    cliques_.emplace_back();
-    return static_cast<int32_t>(cliques_.size()) - 1;
-  }
-  const int32_t index = free_cliques_.back();
-  free_cliques_.pop_back();
-  return index;
-}
-
-void BayesTree::release(int32_t index) {
-  Clique& clique = cliques_[static_cast<size_t>(index)];
-  clique_blocks_.give_back(clique.factor, static_cast<size_t>(clique.height) * static_cast<size_t>(clique.pivots));
-  clique_blocks_.give_back(clique.update, static_cast<size_t>(clique.update_height) * static_cast<size_t>(clique.rows));
-  std::vector<int32_t> nodes = std::move(clique.nodes);
-  clique = Clique{};
-  nodes.clear();
-  clique.nodes = std::move(nodes);  // its memory is used again
-  free_cliques_.push_back(index);
-}
-
-void BayesTree::commit(const Plan& plan, const std::vector<double*>& factor, const std::vector<double*>& update) {
-  for (const int32_t c : orphans_) unlink(c);
-  for (const int32_t c : taken_)
-    if (cliques_[static_cast<size_t>(c)].parent < 0) std::erase(roots_, c);
-  for (const int32_t c : taken_) release(c);
-  made_.clear();
-  for (size_t s = 0; s < factor.size(); ++s) made_.push_back(new_clique());
-  for (size_t s = factor.size(); s-- > 0;) {  // parents first
-    const FrontView& front = plan.fronts[s];
-    Clique& clique = cliques_[static_cast<size_t>(made_[s])];
-    clique.pivot_nodes = front.node_pivots;
-    clique.pivots = front.pivots;
-    clique.rows = front.rows;
-    clique.height = front.height;
-    clique.update_height = front.update_height;
-    clique.factor = factor[s];
-    clique.update = update[s];
-    for (int32_t i = front.node_begin; i < front.node_end; ++i)
-      clique.nodes.push_back(affected_[static_cast<size_t>(plan.nodes[static_cast<size_t>(i)])]);
-    for (int32_t i = 0; i < front.node_pivots; ++i) clique_of_[static_cast<size_t>(clique.nodes[static_cast<size_t>(i)])] = made_[s];
-    link(made_[s], front.parent < 0 ? -1 : made_[static_cast<size_t>(front.parent)]);
-  }
-  for (size_t e = 0; e < orphans_.size(); ++e) {
-    const int32_t parent = plan.fronts[factor.size() + e].parent;
-    link(orphans_[e], made_[static_cast<size_t>(parent)]);
-  }
-  for (const int32_t f : open_factors_) {
-    TreeFactor& entry = factors_[static_cast<size_t>(f)];
-    const FactorGroup& kind = kinds_[static_cast<size_t>(entry.kind)];
-    const int32_t* scope = kind.variables.data() + static_cast<size_t>(entry.index) * static_cast<size_t>(kind.arity);
-    int32_t first = std::numeric_limits<int32_t>::max();  // the front in which its first variable is eliminated
-    for (int a = 0; a < kind.arity; ++a) {
-      const int32_t node = local_[static_cast<size_t>(scope[a])];
-      if (node >= 0) first = std::min(first, plan.front_of[static_cast<size_t>(node)]);
-    }
-    if (first == std::numeric_limits<int32_t>::max()) continue;  // between variables that are all held
-    entry.clique = made_[static_cast<size_t>(first)];
-    entry.next = cliques_[static_cast<size_t>(entry.clique)].first_factor;
-    cliques_[static_cast<size_t>(entry.clique)].first_factor = f;
-  }
-  for (const int32_t f : removed_) drop_factor(f);
-  attached_ = orphans_;
-  finish_update();
-}
-
-// The tree itself has not been changed: only what was linearised anew, added and marked is undone, to the bit.
-void BayesTree::roll_back() {
-  for (const Saved& saved : saved_) {
-    const auto v = static_cast<size_t>(saved.variable);
-    std::copy(saved.theta.begin(), saved.theta.end(), theta_.begin() + theta_at_[v]);
-    std::copy(saved.delta.begin(), saved.delta.end(), delta_.begin() + delta_at_[v]);
-  }
-  if (looked_at_fluid_) {
-    for (const int32_t v : fluid_) fluid_flag_[static_cast<size_t>(v)] = 0;
-    fluid_ = fluid_before_;
-    for (const int32_t v : fluid_) fluid_flag_[static_cast<size_t>(v)] = 1;
-  }
-  const double* from = old_blocks_.data();
-  for (const OldFactor& old : old_) {
-    const TreeFactor& factor = factors_[static_cast<size_t>(old.factor)];
-    const size_t size = block_size(kinds_[static_cast<size_t>(factor.kind)]);
-    std::copy_n(from, size, factor.block);
-    from += size;
-  }
-  for (const int32_t f : open_factors_) factors_[static_cast<size_t>(f)].stale = 0;
-  for (size_t i = weighed_.size(); i-- > 0;) {  // backwards: one may have been weighed twice
-    TreeFactor& factor = factors_[static_cast<size_t>(weighed_[i].factor)];
-    kinds_[static_cast<size_t>(factor.kind)].weight[static_cast<size_t>(factor.index)] = weighed_[i].weight;
-    factor.stale = 0;
-  }
-  for (const int32_t f : removed_) factors_[static_cast<size_t>(f)].removed = 0;
-  for (size_t i = loose_.size(); i-- > 0;) drop_factor(loose_[i]);  // backwards: their numbers come again in the same order
-  const size_t kept = dof_.size() - fresh_.size();  // the new variables are the last ones
-  if (!fresh_.empty()) {
-    theta_.resize(static_cast<size_t>(theta_at_[kept]));
-    delta_.resize(static_cast<size_t>(delta_at_[kept]));
-  }
-  finish_update();
-  dof_.resize(kept);
-  clique_of_.resize(kept);
-  local_.resize(kept, -1);
-  for (std::vector<int64_t>* list : {&theta_at_, &delta_at_}) list->resize(kept);
-  for (std::vector<uint8_t>* list : {&fluid_flag_, &touched_flag_, &held_}) list->resize(kept);
-  manifold_.resize(kept);
-  changed_.resize(kept);
-}
-
-// Forgets the work lists; the tree is whole again.
-void BayesTree::finish_update() {
-  for (const int32_t v : touched_) touched_flag_[static_cast<size_t>(v)] = 0;
-  for (const int32_t v : relinearized_) touched_flag_[static_cast<size_t>(v)] = 0;
-  for (const int32_t v : affected_) local_[static_cast<size_t>(v)] = -1;
-  for (std::vector<int32_t>* list : {&touched_, &relinearized_, &fresh_, &loose_, &removed_, &taken_, &orphans_, &affected_, &open_factors_})
-    list->clear();
-  saved_.clear();
-  old_.clear();
-  old_blocks_.clear();
-  weighed_.clear();
-  looked_at_fluid_ = false;
-  ++update_number_;
 }
 
 bool BayesTree::rows_changed(const Clique& clique) const {
@@ -405,8 +309,9 @@ bool BayesTree::rows_changed(const Clique& clique) const {
 
 // The step of a clique's pivots. Unless it is new, its old step stays where no element moves by more than the threshold, so
 // that what lies below it stays consistent and need not be visited.
-void BayesTree::solve_clique(int32_t index, double wildfire, bool always, double threshold) {
-  const Clique& clique = cliques_[static_cast<size_t>(index)];
+void BayesTree::solve_clique(int32_t index, double wildfire, double threshold) {
+  Clique& clique = cliques_[static_cast<size_t>(index)];
+  const bool always = std::exchange(clique.unsolved, 0) != 0;
   rows_.resize(static_cast<size_t>(clique.rows) + 8);
   step_.resize(static_cast<size_t>(clique.pivots));
   double* to = rows_.data();
@@ -437,7 +342,7 @@ void BayesTree::solve_clique(int32_t index, double wildfire, bool always, double
       longest = std::max(longest, std::abs(*from));
       delta_[static_cast<size_t>(delta_at_[v] + k)] = *from++;
     }
-    if (longest > threshold && std::exchange(fluid_flag_[v], 1) == 0) fluid_.push_back(variable);
+    if (longest > threshold && frozen_[v] == 0 && std::exchange(fluid_flag_[v], 1) == 0) fluid_.push_back(variable);
   }
 }
 
@@ -445,14 +350,17 @@ void BayesTree::solve(double wildfire, double relinearize_threshold) {
   ++solve_number_;
   // Steps are cheap beside elimination: where that took down a good part of the tree, nothing is left stale.
   constexpr size_t kGoodPart = 10;
-  if (counts_.variables * kGoodPart >= dof_.size()) wildfire = 0.0;
-  for (size_t s = made_.size(); s-- > 0;) solve_clique(made_[s], wildfire, true, relinearize_threshold);
+  if (std::exchange(eliminated_, 0) * kGoodPart >= variables()) wildfire = 0.0;
+  for (size_t s = made_.size(); s-- > 0;) solve_clique(made_[s], wildfire, relinearize_threshold);
   std::vector<int32_t> stack(attached_);
+  for (const int32_t c : roots_)  // parts of the graph that an earlier slice was done with
+    if (cliques_[static_cast<size_t>(c)].unsolved != 0) stack.push_back(c);
   while (!stack.empty()) {
     const int32_t at = stack.back();
     stack.pop_back();
-    if (!rows_changed(cliques_[static_cast<size_t>(at)])) continue;
-    solve_clique(at, wildfire, false, relinearize_threshold);
+    const Clique& clique = cliques_[static_cast<size_t>(at)];
+    if (clique.pivot_nodes == 0 || (clique.unsolved == 0 && !rows_changed(clique))) continue;
+    solve_clique(at, wildfire, relinearize_threshold);
     for (int32_t c = cliques_[static_cast<size_t>(at)].child; c >= 0; c = cliques_[static_cast<size_t>(c)].next) stack.push_back(c);
   }
 }

@@ -30,8 +30,8 @@ struct Fundamental {
 class FundamentalBuilder {
  public:
   FundamentalBuilder(const Adjacency& graph, std::span<const int32_t> order, std::span<const int32_t> position,
-                     const Elements& elements)
-      : graph_(graph), order_(order), position_(position), elements_(elements), mark_(order.size(), -1),
+                     const Elements& elements, std::span<const uint8_t> apart)
+      : graph_(graph), order_(order), position_(position), elements_(elements), apart_(apart), mark_(order.size(), -1),
         owner_(order.size(), -1), child_(order.size(), -1), element_(elements.size() > 0 ? order.size() : 0, -1),
         next_element_(elements.size(), -1) {
     for (size_t e = 0; e < elements.size(); ++e) {
@@ -89,6 +89,9 @@ class FundamentalBuilder {
     if (out_.row_count[s] == 0 || first_row(s) != j) return false;
     const int32_t head = child_[static_cast<size_t>(j)];
     if (head != static_cast<int32_t>(s) || next_child_[s] != -1) return false;
+    if (!apart_.empty() && apart_[static_cast<size_t>(order_[static_cast<size_t>(j)])] !=
+                               apart_[static_cast<size_t>(order_[static_cast<size_t>(j) - 1])])
+      return false;
     bool inside = true;
     const auto check = [&](int32_t p) { inside = inside && (p == j || mark_[static_cast<size_t>(p)] == static_cast<int32_t>(s)); };
     later_neighbours(j, check);
@@ -137,6 +140,7 @@ class FundamentalBuilder {
   const Adjacency& graph_;
   std::span<const int32_t> order_, position_;
   const Elements& elements_;
+  std::span<const uint8_t> apart_;
   Fundamental out_;
   std::vector<int32_t> mark_, owner_, child_, next_child_, element_, next_element_;
 };
@@ -151,7 +155,7 @@ double front_cost(double k, double m) {
 }
 
 // Which supernodes join: into[s] is the supernode that s ends up in.
-std::vector<int32_t> amalgamate(const Fundamental& f, std::span<const int32_t> weight_at) {
+std::vector<int32_t> amalgamate(const Fundamental& f, std::span<const int32_t> weight_at, std::span<const uint8_t> apart_at) {
   const size_t n = f.begin.size();
   std::vector<int32_t> into(n), first(n, -1), next(n, -1);
   std::vector<double> pivots(n, 0.0), rows(n, 0.0);
@@ -168,6 +172,7 @@ std::vector<int32_t> amalgamate(const Fundamental& f, std::span<const int32_t> w
                      [&](int32_t a, int32_t b) { return rows[static_cast<size_t>(a)] > rows[static_cast<size_t>(b)]; });
     for (const int32_t c : kids) {
       const auto child = static_cast<size_t>(c);
+      if (!apart_at.empty() && apart_at[static_cast<size_t>(f.begin[child])] != apart_at[static_cast<size_t>(f.begin[s])]) continue;
       const double apart = front_cost(pivots[child], rows[child]) + front_cost(pivots[s], rows[s]);
       if (front_cost(pivots[child] + pivots[s], rows[s]) > apart) continue;
       into[child] = static_cast<int32_t>(s);
@@ -227,16 +232,18 @@ Supernodes gather(const Fundamental& f, std::span<const int32_t> into, std::span
 }  // namespace
 
 Supernodes find_supernodes(const Adjacency& graph, std::span<const int32_t> weight, std::span<const int32_t> order,
-                           const Elements& elements) {
+                           const Elements& elements, std::span<const uint8_t> apart) {
   const std::vector<int32_t> renumber = postorder(elimination_tree(graph, order));
   std::vector<int32_t> arranged(order.size()), weight_at(order.size());
   for (size_t i = 0; i < order.size(); ++i) {
     arranged[i] = order[static_cast<size_t>(renumber[i])];
     weight_at[i] = weight[static_cast<size_t>(arranged[i])];
   }
+  std::vector<uint8_t> apart_at(apart.size());
+  for (size_t i = 0; i < apart.size(); ++i) apart_at[i] = apart[static_cast<size_t>(arranged[i])];
   const std::vector<int32_t> position = inverse_of(arranged);
-  const Fundamental fundamental = FundamentalBuilder(graph, arranged, position, elements).build();
-  return gather(fundamental, amalgamate(fundamental, weight_at), arranged);
+  const Fundamental fundamental = FundamentalBuilder(graph, arranged, position, elements, apart).build();
+  return gather(fundamental, amalgamate(fundamental, weight_at, apart_at), arranged);
 }
 
 }  // namespace heliograph

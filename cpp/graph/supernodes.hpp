@@ -32,8 +32,9 @@ struct Elements {
 
 // Liu 1990 for the elimination tree; a child joins its parent where the model of the numeric work says that one larger dense
 // front is cheaper than two with an extend-add between them (Ashcraft, Grimes 1989, with a cost in place of a count of zeros).
-// `graph` must hold, for every element, edges that join its nodes in the order of their elimination.
+// `graph` must hold, for every element, edges that join its nodes in the order of their elimination. `apart` (empty, or one
+// flag a node): nodes with and without it never share a supernode.
 Supernodes find_supernodes(const Adjacency& graph, std::span<const int32_t> weight, std::span<const int32_t> order,
-                           const Elements& elements = {});
+                           const Elements& elements = {}, std::span<const uint8_t> apart = {});
 
 }  // namespace heliograph

@@ -7,6 +7,7 @@ from heliograph.graph.factor import Factor
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.factors import Bearing, Between, Landmark, LinearMotion, Position, Prior, Range
 from heliograph.graph.families import Family, family_of, vectors
+from heliograph.graph.fixed_lag import FixedLagSmoother
 from heliograph.graph.free_motion import FreeMotion
 from heliograph.graph.g2o import read_pose_graph, write_g2o, write_toro
 from heliograph.graph.gnc import RobustSettings, RobustSolution, solve_robust
@@ -37,6 +38,7 @@ __all__ = [
     "Factor",
     "FactorGraph",
     "Family",
+    "FixedLagSmoother",
     "FreeMotion",
     "GemanMcClure",
     "Huber",

@@ -28,6 +28,7 @@ Mask = NDArray[np.bool_]
 _NEGLIGIBLE = 1e-7  # weight below which a doubtful factor is left out: random pairs would fill the elimination up
 _BINARY = 1e-6
 _SETTLED = 1e-3  # relative change of the weighted cost
+_CAUTION = 1e-6  # damping of the few steps a round: what is down-weighted must not fling anything far
 _BETWEEN = 2
 
 
@@ -133,7 +134,7 @@ class Rounds:
         largest = float((self.squared / bound)[active].max())
         tls = surrogate == "tls"
         mu = begin if begin is not None else (1.0 / max(2.0 * largest - 1.0, 1e-6) if tls else max(2.0 * largest, 1.0))
-        settings = SolverSettings(max_iterations=self.steps, relative_decrease=_SETTLED)
+        settings = SolverSettings(max_iterations=self.steps, relative_decrease=_SETTLED, initial_damping=_CAUTION)
         cost = np.inf
         for _ in range(self.max_rounds):
             squared = (self.squared / bound)[active]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.config_checks import check_range
-from heliograph.errors import UnderconstrainedError
+from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.factor import Factor
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.families import Value
@@ -25,6 +25,7 @@ __all__ = ["ISAM2", "ISAM2Settings", "UpdateResult"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
+_UNBOUNDED = 1 << 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +77,9 @@ class UpdateResult:
     iterations : int
         Passes; more than one only where convergence was asked for.
     converged : bool
-        No step is longer than the threshold that was asked for.
+        Nothing is pending, and no step is longer than the threshold that was asked for.
+    pending : int
+        Variables that wait for a later update, where its work was bounded: to be eliminated, or to be linearised anew.
     cost_before, cost_after : float or None
         Of all factors, where asked for: before, at the old estimate and the new variables' start.
     seconds : dict
@@ -91,6 +94,7 @@ class UpdateResult:
     solved: int
     iterations: int
     converged: bool
+    pending: int = 0
     cost_before: float | None = None
     cost_after: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
@@ -130,6 +134,7 @@ class ISAM2:
         iterate: float | None = None,
         most_iterations: int = 50,
         costs: bool = False,
+        most_variables: int | None = None,
     ) -> UpdateResult:
         """Add factors and variables, remove factors, and bring the estimate up to date.
 
@@ -147,6 +152,12 @@ class ISAM2:
             Limit of that.
         costs : bool
             Evaluate all factors before and after; this takes time that grows with the whole graph.
+        most_variables : int, optional
+            Linearise at most so many variables anew, the farthest first, and eliminate at most so many (a single clique
+            is not divided). What is left is ``pending``: the next updates go on with it, whatever they add. Meanwhile
+            old variables keep their estimate and new ones the value they came with; steps are computed when the last
+            part is done. An update without the bound does all that is pending. Not bounded: an update that removes or
+            switches factors, the ordering, and the back-substitution.
 
         Raises
         ------
@@ -156,20 +167,22 @@ class ISAM2:
             The graph would no longer determine every variable; the message names what is free. Nothing has changed, and
             the smoother can be used further.
         """
-        clock = _Clock()
+        if most_variables is not None and (most_variables < 1 or iterate is not None):
+            raise GraphError(f"most_variables={most_variables}: at least 1, and not together with iterate")
+        clock, most = _Clock(), most_variables or _UNBOUNDED
         added = self._state.add(graph, values)  # 1. new factors and variables ...
         self._state.remove(remove)  # ... and what leaves
         before = self._state.cost() if costs else None
         clock.lap("add")
         due = (self._updates + 1) % self.settings.relinearize_skip == 0
         threshold = self.settings.relinearize_threshold if due else np.inf
-        work = self._pass(threshold, self.settings.wildfire, graph, values, clock)
-        passes, converged = 1, not self._state.native.pending
+        work = self._pass(threshold, self.settings.wildfire, graph, values, clock, most)
+        passes, converged = 1, not self._state.native.pending and not self._state.native.waiting
         while iterate is not None and not (converged := self._state.native.largest_step() <= iterate):
             if passes >= most_iterations:
                 break
             self._state.native.find_fluid(iterate)
-            more = self._pass(iterate, 0.0, None, None, clock)
+            more = self._pass(iterate, 0.0, None, None, clock, most)
             work = [old + new for old, new in zip(work, more, strict=True)]
             passes += 1
         self._updates += 1
@@ -182,31 +195,65 @@ class ISAM2:
             solved=work[5],
             iterations=passes,
             converged=converged,
+            pending=self._state.pending(),
             cost_before=before,
             cost_after=self._state.cost() if costs else None,
             seconds=clock.seconds,
         )
 
     def _pass(
-        self, threshold: float, wildfire: float, graph: FactorGraph | None, values: Values | None, clock: _Clock
+        self,
+        threshold: float,
+        wildfire: float,
+        graph: FactorGraph | None,
+        values: Values | None,
+        clock: _Clock,
+        most: int,
     ) -> list[int]:
         """Do steps 2 to 7 once; return the counts of what was done."""
         tree = self._state.native
-        marked = tree.relinearize(threshold) if threshold < np.inf else 0  # 2. fluid relinearisation
+        due = threshold < np.inf and not tree.waiting  # never in the middle of an elimination
+        marked = tree.relinearize(threshold, most) if due else 0  # 2. fluid relinearisation
         clock.lap("relinearize")
         tree.detach()  # 3. the top of the tree is taken down
         self._state.evaluate_custom()
         clock.lap("detach")
         tree.reorder()  # 4. constrained ordering: the newest last
         clock.lap("reorder")
-        failed = tree.eliminate()  # 5. elimination, and 6. orphans attached
+        failed = tree.eliminate(most)  # 5. elimination, and 6. orphans attached
         clock.lap("eliminate")
         if failed >= 0:
             raise UnderconstrainedError(self._state.refused(failed, graph, values))
         self._state.settle()
-        tree.solve(wildfire, self.settings.relinearize_threshold)  # 7. wildfire
+        if not tree.waiting:
+            tree.solve(wildfire, self.settings.relinearize_threshold)  # 7. wildfire
         clock.lap("solve")
         return [marked, *tree.counts()]
+
+    def finish(self) -> None:
+        """Do all that bounded updates left to be eliminated."""
+        if self._state.native.waiting:
+            self._pass(np.inf, self.settings.wildfire, None, None, _Clock(), _UNBOUNDED)
+
+    def marginalize(self, keys: ArrayLike) -> None:
+        """Take variables out for good; what their factors said stays, as a linear summary on their neighbours.
+
+        The summary holds at the neighbours' linearisation points, which are kept from then on (first estimates): moved,
+        they would disagree with it about the directions that the measurements leave free. Estimates and covariances of
+        what stays are as before. Memory of what leaves is used again; its keys cannot be.
+
+        Parameters
+        ----------
+        keys : int or (N,) int
+            Variables that are in the smoother and not held.
+
+        Raises
+        ------
+        GraphError
+            A key is unknown, left before, or is held. Nothing has changed.
+        """
+        self.finish()
+        self._state.marginalize(keys)
 
     def switch(self, factors: ArrayLike, on: bool) -> None:
         """Switch factors off, or on again; the next `update` brings it in. If that one is refused, all stays as it was.
@@ -279,6 +326,9 @@ class ISAM2:
     def bytes(self) -> int:
         """Memory of the tree and its factors."""
         return int(self._state.native.bytes())
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._state
 
     def estimate(self, keys: ArrayLike | None = None) -> Value:
         """Return the estimate: of one key a value, of several of one family a batch, without keys all `Values`."""

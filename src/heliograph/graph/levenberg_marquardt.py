@@ -10,6 +10,7 @@ __all__ = ["levenberg_marquardt"]
 
 _LEAST_GAIN = 1e-4  # of the predicted decrease: less is no progress
 _UNDAMPED = 1e-2  # up to this damping a step counts as a full one
+_HOLD = 1e-6  # the damping from which rejections go up
 _SHRINK = 0.1  # of the damping, at most, after a good step
 _GROWTH = 4.0  # of the damping after a rejection, and of itself after each further one
 
@@ -51,7 +52,7 @@ def levenberg_marquardt(problem: Problem, settings: SolverSettings, cost: Cost, 
             damping = max(damping * max(_SHRINK, 1.0 - (2.0 * gain - 1.0) ** 3), settings.damping_floor)
             growth = _GROWTH
         else:
-            damping, growth = max(damping, settings.initial_damping) * growth, _GROWTH * growth
+            damping, growth = max(damping, settings.initial_damping, _HOLD) * growth, _GROWTH * growth
         promised = 0.0 if accepted else max(promised, predicted)  # by the boldest of the steps rejected since
         trace.record(cost, accepted=accepted, gain_ratio=gain, damping=used)
         if key is None and used <= _UNDAMPED and (decrease if accepted else predicted) <= small:

@@ -24,7 +24,8 @@ class SolverSettings:
     absolute_decrease : float
         Converged when a full step lowers the cost by at most this.
     initial_damping : float
-        Levenberg-Marquardt: of the diagonal, relative. Small, so that the first step is nearly Gauss-Newton's.
+        Levenberg-Marquardt: of the diagonal, relative. Without any the first step is Gauss-Newton's,
+        which long chains need: their weakest directions are a billionth of the diagonal.
     max_damping : float
         Levenberg-Marquardt: above it the solver gives up as stalled.
     damping_floor : float
@@ -41,12 +42,12 @@ class SolverSettings:
     max_iterations: int = 100
     relative_decrease: float = 1e-5
     absolute_decrease: float = 1e-12
-    initial_damping: float = 1e-6
+    initial_damping: float = 0.0
     max_damping: float = 1e10
     damping_floor: float = 1e-12
     ordering: str = "auto"
 
     def __post_init__(self) -> None:
-        check_range(self, "max_iterations", "relative_decrease", "absolute_decrease", low=0.0)
-        check_range(self, "initial_damping", "max_damping", "damping_floor", above=0.0)
+        check_range(self, "max_iterations", "relative_decrease", "absolute_decrease", "initial_damping", low=0.0)
+        check_range(self, "max_damping", "damping_floor", above=0.0)
         check_choice(self, "ordering", *ORDERINGS)

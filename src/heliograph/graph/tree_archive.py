@@ -16,6 +16,7 @@ from heliograph.atomic import atomic_path
 from heliograph.errors import FormatError, GraphError
 from heliograph.graph.archive import KERNELS, family_called, name_of
 from heliograph.graph.factor import Factor
+from heliograph.graph.key_runs import KeyRuns
 from heliograph.graph.tree_state import Own, TreeState
 
 __all__ = ["read_state", "state_arrays", "state_from", "write_state"]
@@ -30,6 +31,8 @@ def state_arrays(state: TreeState) -> _Arrays:
     arrays: _Arrays = {
         "tree": np.frombuffer(state.native.save(), dtype=np.uint8),
         "keys": np.array(state._keys, dtype=np.int64),
+        "numbers": np.array(list(state._number.values()), dtype=np.int64),
+        "left": np.array(state._left.runs(), dtype=np.int64).reshape(-1, 2),
         "switched": np.array(list(state._switched.items()), dtype=np.float64).reshape(-1, 2),
     }
     kinds = []
@@ -74,7 +77,8 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
     contents = json.loads(arrays["contents"].tobytes().decode())
     state = TreeState()
     state._keys = arrays["keys"].tolist()
-    state._number = {key: number for number, key in enumerate(state._keys)}
+    state._number = {state._keys[number]: number for number in arrays["numbers"].tolist()}
+    state._left = KeyRuns.of([(first, last) for first, last in arrays["left"].tolist()])
     for name, count in contents["families"]:
         state._families += [family_called(name)] * count
     for entry in contents["kinds"]:
@@ -87,10 +91,10 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
         if own is not None:
             state._own[number] = _own_members(Own(own, families), arrays, f"own{number}", len(shapes))
     state.native.load(arrays["tree"].tobytes())
-    if not state.native.variables == len(state._keys) == len(state._families):
+    slots = {state.native.slots, len(state._keys), len(state._families)}
+    if state.native.variables != len(state._number) or len(slots) != 1:
         raise ValueError("its parts do not belong together")
     state._switched = {int(number): weight for number, weight in arrays["switched"].tolist()}
-    state.settle_loaded()
     return state
 
 

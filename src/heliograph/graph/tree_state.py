@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
-from heliograph.errors import GraphError
+from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.diagnosis import diagnose
 from heliograph.graph.factor import Factor
 from heliograph.graph.factor_graph import Added, FactorGraph
 from heliograph.graph.families import Family, Value
 from heliograph.graph.kernels import Kernel
+from heliograph.graph.key_runs import KeyRuns
 from heliograph.graph.noise import Whitening
 from heliograph.graph.records import as_keys, key_list
 from heliograph.graph.values import Values
@@ -58,11 +59,12 @@ class TreeState:
     def __init__(self) -> None:
         self.native = _core.BayesTree()
         self._number: dict[int, int] = {}  # of a key's variable
-        self._keys: list[int] = []
-        self._families: list[Family] = []  # of each variable
+        self._keys: list[int] = []  # by variable; numbers of variables that left are given again
+        self._families: list[Family] = []
+        self._left = KeyRuns()
         self._kinds: dict[KindName, int] = {}
         self._own: dict[int, Own] = {}
-        self._settled = 0  # variables that are in the tree
+        self._fresh: set[int] = set()  # variables of the update that is under way
         self._entered: list[tuple[int, int]] = []  # a user's own factors of the update that is under way: kind, number
         self._leaving: list[int] = []
         self._switched: dict[int, float] = {}  # weights that the next update brings in
@@ -78,8 +80,6 @@ class TreeState:
         except GraphError:
             self.undo()
             raise
-        for family, packed in zip(values.families(), values.packed(), strict=True):
-            self.native.add_variables(family.code, family.dof, packed.reshape(-1))
         if held is not None:
             self.native.hold(held)
         if len(staged) == 1:
@@ -96,10 +96,19 @@ class TreeState:
             raise GraphError(
                 f"{key_list(np.array(known))}: already in the smoother; give a value once, when a variable is new"
             )
-        self._number.update(zip(keys, range(len(self._keys), len(self._keys) + len(keys)), strict=True))
-        self._keys += keys
-        for family, count in zip(values.families(), values.counts(), strict=True):
-            self._families += [family] * count
+        left = [key for key in keys if key in self._left]
+        if left:
+            raise GraphError(f"{key_list(np.array(left))}: marginalised out; a key is not used again, take a new one")
+        at = 0
+        for family, packed in zip(values.families(), values.packed(), strict=True):
+            for number in self.native.add_variables(family.code, family.dof, packed.reshape(-1)).tolist():
+                if number == len(self._keys):
+                    self._keys.append(keys[at])
+                    self._families.append(family)
+                self._keys[number] = keys[at]
+                self._number[keys[at]] = number
+                self._fresh.add(number)
+                at += 1
 
     def undo(self) -> None:
         """Drop what the update that is under way has brought: everything is as it was before."""
@@ -107,9 +116,11 @@ class TreeState:
         self._forget()
 
     def _forget(self) -> None:
-        for key in self._keys[self._settled :]:
-            del self._number[key]
-        del self._keys[self._settled :], self._families[self._settled :]
+        for number in sorted(self._fresh, reverse=True):
+            del self._number[self._keys[number]]
+            if number >= self.native.slots:
+                del self._keys[number], self._families[number]
+        self._fresh.clear()
         self._drop([number for _, number in self._entered])
         self._entered, self._leaving, self._switched = [], [], {}
 
@@ -123,19 +134,53 @@ class TreeState:
 
     def settle(self) -> None:
         """Take the update for good: it is in the tree."""
-        self._settled = len(self._keys)
+        self._fresh.clear()
         self._drop(self._leaving)
         self._entered, self._leaving, self._switched = [], [], {}
 
-    def settle_loaded(self) -> None:
-        """Take all variables as those of the tree: they came with it."""
-        self._settled = len(self._keys)
+    def marginalize(self, keys: ArrayLike) -> None:
+        """Take variables out of the tree; what their factors said stays as a summary."""
+        numbers = self._numbers(as_keys(keys).reshape(-1), lambda: "to be marginalised out")
+        held = [self._keys[number] for number in numbers.tolist() if self.native.held(number)]
+        if held:
+            raise GraphError(f"{key_list(np.array(held))}: held by `fix`; what is known is not marginalised out")
+        self.native.leave(numbers)
+        self.native.detach()
+        self.evaluate_custom()
+        self.native.reorder()
+        failed = self.native.eliminate()
+        if failed >= 0:
+            raise UnderconstrainedError(
+                f"key {self._keys[failed]}: not determined where it was last linearised; nothing was marginalised out"
+            )
+        self._drop(self.native.drop_left().tolist())
+        for number in numbers.tolist():
+            key = self._keys[number]
+            self._number.pop(key, None)
+            self._left.add(key)
+
+    def pending(self) -> int:
+        """Return how many variables wait to be eliminated, or else to be linearised anew."""
+        return int(self.native.waiting or self.native.fluid)
+
+    def _nothing_waiting(self) -> None:
+        if self.native.waiting:
+            raise GraphError(
+                f"{self.native.waiting} variables wait to be eliminated after a bounded update; call `finish` first"
+            )
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._number
+
+    def held(self, key: int) -> bool:
+        """Return whether a variable is held at its value."""
+        return bool(self.native.held(self._number[key]))
 
     def _held(self, keys: NDArray[np.int64]) -> Ints | None:
         if not keys.size:
             return None
         held = self._numbers(keys, lambda: "held by `fix`")
-        if int(held.min()) < self._settled:
+        if not self._fresh.issuperset(held.tolist()):
             raise GraphError(f"{key_list(keys)}: only variables that are new in an update can be held")
         return held
 
@@ -144,6 +189,9 @@ class TreeState:
         numbers = [self._number.get(key, -1) for key in keys.ravel().tolist()]
         found = np.array(numbers, dtype=np.int32).reshape(keys.shape)
         if -1 in numbers:
+            left = keys[np.array([key in self._left for key in keys.ravel().tolist()]).reshape(keys.shape)]
+            if left.size:
+                raise GraphError(f"{key_list(left)}: {what()}, but marginalised out; name only keys that are kept")
             raise GraphError(f"{key_list(keys[found < 0])}: {what()}, but without a value; insert one with the factor")
         return found
 
@@ -277,7 +325,7 @@ class TreeState:
         """Return why an update was refused, and drop its variables; the tree has undone the rest."""
         key = self._keys[variable]
         text = f"the update would leave key {key} undetermined; it was not made, and the smoother stays as it was"
-        if values is not None and key in self._keys[self._settled :]:
+        if values is not None and variable in self._fresh:
             text = self._free(FactorGraph() if graph is None else graph, values) or text
         self._forget()
         return text
@@ -286,7 +334,7 @@ class TreeState:
         """Return what is free of the new variables if all old ones are taken as known."""
         local, start = graph.copy(), values.copy()
         keys = np.unique(np.concatenate([values.keys(), *(added.record.keys.reshape(-1) for added in graph.groups())]))
-        old = np.array([key for key in keys.tolist() if self._number[key] < self._settled], dtype=np.int64)
+        old = np.array([key for key in keys.tolist() if self._number[key] not in self._fresh], dtype=np.int64)
         for key in old.tolist():
             start.insert(key, self.at(key))
         local.fix(old)
@@ -295,6 +343,7 @@ class TreeState:
 
     def covariance(self, keys: ArrayLike) -> Array:
         """Return the covariance of one variable (d, d), or of several of one size (N, d, d)."""
+        self._nothing_waiting()
         array = as_keys(keys)
         numbers = self._numbers(array.reshape(-1), lambda: "asked for")
         if not numbers.size:
@@ -312,6 +361,7 @@ class TreeState:
 
     def joint(self, keys: ArrayLike) -> Array:
         """Return the joint covariance (D, D) of several variables, in the order of the keys."""
+        self._nothing_waiting()
         numbers = self._numbers(as_keys(keys).reshape(-1), lambda: "asked for")
         out = self.native.joint_covariance(numbers)
         size = int(np.sqrt(out.size))
@@ -339,11 +389,11 @@ class TreeState:
     def values(self) -> Values:
         """Return the estimate of every variable."""
         values = Values()
-        if not self._keys:
+        if not self._number:
             return values
         order: dict[Family, list[int]] = {}
-        for number, family in enumerate(self._families):
-            order.setdefault(family, []).append(number)
+        for number in self._number.values():
+            order.setdefault(self._families[number], []).append(number)
         keys = np.array(self._keys, dtype=np.int64)
         for family, members in order.items():
             numbers = np.array(members, dtype=np.int32)

@@ -370,7 +370,7 @@ def test_given_values_are_not_changed():
         ("relative_decrease", -1e-9),
         ("relative_decrease", np.nan),
         ("absolute_decrease", -1.0),
-        ("initial_damping", 0.0),
+        ("initial_damping", -1.0),
         ("max_damping", -1.0),
         ("damping_floor", 0.0),
         ("ordering", "amt"),
