@@ -9,14 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import graph, graph_scale, kitti, speed, table
+from benchmarks import graph, graph_incremental, graph_scale, kitti, speed, table
 from benchmarks.rivals import ADAPTERS
 
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
-_ALL = ("kitti", "sharpness", "speed", "graph", "graph-scale")
-_NEEDS_DATA = ("kitti", "sharpness", "graph")
-_RUNS = {"speed": 5, "graph": 7, "graph-scale": 1}
+_ALL = ("kitti", "sharpness", "speed", "graph", "graph-scale", "graph-incremental", "graph-incremental-scale")
+_NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental")
+_RUNS = {"speed": 5, "graph": 7, "graph-scale": 1, "graph-incremental": 5}
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
 
@@ -42,6 +42,7 @@ def _parse() -> argparse.Namespace:
         "--graphs", nargs="+", help=f"for `graph`: {graph.GRAPHS}; `graph-scale`: {list(graph_scale.WORLDS)}"
     )
     parser.add_argument("--seconds", type=float, default=45.0, help="length of the simulated recording")
+    parser.add_argument("--poses", type=int, default=1_000_000, help="length of the drive of `graph-incremental-scale`")
     return parser.parse_args()
 
 
@@ -65,6 +66,14 @@ def _graphs(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         names = arguments.graphs or list(graph_scale.WORLDS)
         runs = arguments.runs or _RUNS["graph-scale"]
         _write("graph_scale", graph_scale.measure_scale(names, work, programs, runs=runs))
+    if "graph-incremental" in wanted:
+        names = arguments.graphs or graph_incremental.INCREMENTAL_GRAPHS
+        runs, folder = arguments.runs or _RUNS["graph-incremental"], arguments.data.parent / "posegraphs"
+        rows = graph_incremental.compare_incremental(folder, names, work, programs, runs=runs)
+        _write("graph_incremental", rows)
+    if "graph-incremental-scale" in wanted:
+        count = arguments.poses
+        _write("graph_incremental_scale", graph_incremental.measure_incremental_scale(work, programs, count=count))
 
 
 def main() -> None:
@@ -87,7 +96,7 @@ def main() -> None:
             arguments.work / f"warehouse_{arguments.seconds:g}", ours / "heliograph", seconds=arguments.seconds, seed=1
         )
         _write("speed", speed.alternate(folder, timed, arguments.work, bins, runs=arguments.runs or _RUNS["speed"]))
-    if "graph" in wanted or "graph-scale" in wanted:
+    if any(name.startswith("graph") for name in wanted):
         _graphs(arguments, wanted)
     table.write_table(_RESULTS, _ROOT / "benchmarks" / "BENCHMARKS.md")
     table.write_readme(_RESULTS, _ROOT / "README.md")

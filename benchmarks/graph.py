@@ -80,17 +80,26 @@ def chi2(graph: PoseGraphFile, T_world_i: NDArray[np.float64]) -> float:
     return float(np.einsum("ea,eab,eb->", r, information, r, optimize=True))
 
 
-def command(solver: Solver, graph: Path, out: Path, programs: dict[str, Path], *, cold: bool = False) -> list[str]:
+def command(
+    solver: Solver, graph: Path, out: Path, programs: dict[str, Path], *, cold: bool = False, script: str = "batch"
+) -> list[str]:
     """Return the command line of a solver."""
     tail = [str(graph), str(out), *solver.options, *(["--cold"] if cold else [])]
     if solver.system == "ceres":
         return [str(programs["ceres"]), *tail]
     python = programs["heliograph" if solver.system == "heliograph" else "rivals"]
-    return [str(python), str(_HERE / "graph_rivals" / f"{solver.system}_batch.py"), *tail]
+    return [str(python), str(_HERE / "graph_rivals" / f"{solver.system}_{script}.py"), *tail]
 
 
 def run_once(
-    solver: Solver, graph: Path, work: Path, programs: dict[str, Path], *, cold: bool = False, limit: float = 600.0
+    solver: Solver,
+    graph: Path,
+    work: Path,
+    programs: dict[str, Path],
+    *,
+    cold: bool = False,
+    limit: float = 600.0,
+    script: str = "batch",
 ) -> tuple[dict[str, Any] | None, Path, Cost | None]:
     """Run a solver in a process of its own; None in place of its account where it failed or took too long."""
     out = (
@@ -98,7 +107,8 @@ def run_once(
         / f"{graph.stem}_{'_'.join([solver.system, *solver.options])}{'.txt' if solver.system == 'ceres' else '.npy'}"
     )
     log = out.with_suffix(".log")
-    cost = attempt(command(solver, graph, out, programs, cold=cold), log=log, environment={}, cores=1, limit=limit)
+    line = command(solver, graph, out, programs, cold=cold, script=script)
+    cost = attempt(line, log=log, environment={}, cores=1, limit=limit)
     if cost is None:
         return None, out, None
     lines = [line for line in log.read_text().splitlines() if line.startswith("{")]

@@ -173,6 +173,7 @@ class BayesTree {
   void forget_below(int32_t clique, std::vector<int32_t>& dropped);
   void merge_summary(int32_t clique);
   void freeze(int32_t variable);
+  int vanished(const Plan& plan, size_t front, const std::vector<double*>& factor, std::span<const double> diagonal) const;
   void roll_back();
   void finish_update();
   void drop_factor(int32_t factor);

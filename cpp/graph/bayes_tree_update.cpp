@@ -301,7 +301,8 @@ int32_t BayesTree::run(const Plan& plan, size_t done, std::vector<double*>& fact
     const FrontView& front = plan.fronts[s];
     factor[s] = clique_blocks_.take(static_cast<size_t>(front.height) * static_cast<size_t>(front.pivots));
     update[s] = clique_blocks_.take(static_cast<size_t>(front.update_height) * static_cast<size_t>(front.rows));
-    const int failed = kernels_.eliminate(view, static_cast<int32_t>(s), assembly, factor[s], update.data(), scratch_.data());
+    int failed = kernels_.eliminate(view, static_cast<int32_t>(s), assembly, factor[s], update.data(), scratch_.data());
+    if (failed < 0) failed = vanished(plan, s, factor, diagonal);
     if (failed < 0) continue;
     int32_t variable = -1, scalar = 0;
     for (int32_t i = front.node_begin; i < front.node_begin + front.node_pivots && scalar <= failed; ++i) {

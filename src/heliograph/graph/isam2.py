@@ -174,7 +174,7 @@ class ISAM2:
         self._state.remove(remove)  # ... and what leaves
         before = self._state.cost() if costs else None
         clock.lap("add")
-        due = self._updates % self.settings.relinearize_skip == 0
+        due = (self._updates + 1) % self.settings.relinearize_skip == 0
         threshold = self.settings.relinearize_threshold if due else np.inf
         work = self._pass(threshold, self.settings.wildfire, graph, values, clock, most)
         passes, converged = 1, not self._state.native.pending and not self._state.native.waiting

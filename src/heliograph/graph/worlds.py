@@ -12,7 +12,7 @@ from heliograph.errors import ConfigError
 from heliograph.graph.posegraph import PoseGraphFile
 from heliograph.lie import SE2, SE3, se2, se3, so2, so3
 
-__all__ = ["World", "drive", "grid_walk", "manhattan", "sphere", "torus", "with_false_loops"]
+__all__ = ["World", "drive", "grid_walk", "manhattan", "sphere", "torus", "uneven", "with_false_loops"]
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,8 +33,8 @@ class World:
         What each relative pose joins; the first N - 1 are the odometry, in order.
     T_i_j : SE2 or SE3, batch of E
         Measured relative poses: the true ones, perturbed on the right.
-    information : (d, d) float64
-        Inverse covariance of each, rotation first.
+    information : (d, d) or (E, d, d) float64
+        Inverse covariance of all or of each, rotation first.
     false : (E,) bool
         Loops that are none, see `with_false_loops`.
     """
@@ -49,7 +49,7 @@ class World:
     @cached_property
     def file(self) -> PoseGraphFile:
         """The pose graph without any value: a start has to come from its relative poses."""
-        information = np.broadcast_to(self.information, (len(self.i), *self.information.shape))
+        information = np.broadcast_to(self.information, (len(self.i), *self.information.shape[-2:]))
         return PoseGraphFile.of(self.truth.space, edges=(self.i, self.j, self.T_i_j.matrix, information))
 
     @property
@@ -186,6 +186,39 @@ def torus(
     across = radii[0] + radii[1] * np.cos(turn)
     p = np.stack([across * np.cos(along), across * np.sin(along), radii[1] * np.sin(turn)], axis=1)
     return _surface(p, turn, per_ring, sigmas, rng)
+
+
+def uneven(rng: np.random.Generator, *, poses: int = 600, every: int = 60) -> World:
+    """Return a walk with stops, whose information reaches from 20 to 4e8.
+
+    On the way a step is known to 0.22 m, during a stop the body is known to stand to 0.05 mm. Nothing in the graph is
+    singular, but a solver that takes a pivot for zero because 10^7 times as much was subtracted calls it so.
+
+    Parameters
+    ----------
+    rng : numpy Generator
+        Where chance comes from.
+    poses : int
+        How many.
+    every : int
+        Poses from one stop, four poses long, to the next.
+    """
+    world = manhattan(poses, rng, step=5.0, sigmas=(0.005, 0.22))
+    T = world.truth.matrix.copy()
+    stop = np.arange(every, poses - 4, every)
+    for k in range(1, 4):
+        T[stop + k] = T[stop]
+    truth = type(world.truth)(T)
+    sigma = np.tile([0.005, 0.22, 0.22], (len(world.i), 1))
+    for k in range(3):
+        sigma[stop + k, 1:] = 5e-5
+    relative = type(truth)(truth.ops.inverse(T[world.i]) @ T[world.j])
+    return replace(
+        world,
+        truth=truth,
+        T_i_j=relative.retract(sigma * rng.standard_normal(sigma.shape)),
+        information=np.einsum("ni,ij->nij", sigma**-2.0, np.eye(3)),
+    )
 
 
 def with_false_loops(world: World, fraction: float, rng: np.random.Generator) -> World:

@@ -17,7 +17,7 @@ from heliograph.graph import (
     solve,
 )
 from heliograph.graph.replay import replay, replay_steps
-from heliograph.graph.worlds import grid_walk, manhattan
+from heliograph.graph.worlds import grid_walk, manhattan, uneven
 from heliograph.lie import SE2, SE3
 
 STEP = SE2.exp([0.1, 1.0, 0.0])
@@ -54,6 +54,19 @@ def test_end_of_a_replay_is_the_batch_optimum(make, rng):
     want = solve(graph, done.smoother.estimate(), initial="given").values
     keys = file.pose_ids
     np.testing.assert_allclose(done.smoother.estimate(keys).matrix, want.at(keys).matrix, atol=1e-6)
+
+
+def test_information_from_20_to_4e8_is_no_obstacle(rng):
+    """GTSAM's iSAM2 aborts on this graph at the first stop, see `tests/oracles/test_gtsam_incremental.py`."""
+    file = uneven(rng).file
+    graph = file.graph()
+    done = replay(replay_steps(graph, file.odometry_values()))
+    assert done.waited == 0
+    assert done.smoother.update(iterate=1e-9).converged
+    found = done.smoother.estimate()
+    best = solve(graph, found, initial="given")
+    assert best.initial_chi2 == pytest.approx(best.chi2, rel=1e-6)
+    assert best.chi2 == pytest.approx(best.degrees_of_freedom, rel=0.2)
 
 
 def test_every_factor_comes_once_with_its_last_variable(rng):
