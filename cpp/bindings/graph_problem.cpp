@@ -148,6 +148,12 @@ void bind_graph_problem(nb::module_& m) {
       .def("step", [](const GraphProblem& p) { return copied(p.step()); })
       .def("set_step", [](GraphProblem& p, const Doubles& x) { p.set_step(span_of(x)); }, "step"_a.noconvert())
       .def("analyze", [](GraphProblem& p, int method) { unlocked([&] { p.analyze(static_cast<OrderMethod>(method)); }); }, "method"_a)
+      .def("analyze_in", [](GraphProblem& p, const Indices& v) { unlocked([&] { p.analyze_in(span_of(v)); }); }, "variables"_a.noconvert())
+      .def("elimination_order", [](const GraphProblem& p) {
+             std::vector<int32_t> order = p.elimination_order();
+             const size_t n = order.size();
+             return to_numpy<int32_t>(std::move(order), {n});
+           })
       .def("linearize", [](GraphProblem& p, int threads) { return costs(unlocked([&] { return p.linearize(threads); })); }, "threads"_a)
       .def("cost", [](const GraphProblem& p, bool candidate, int threads) {
              return costs(unlocked([&] { return p.cost(candidate, threads); }));

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <numeric>
 #include <stdexcept>
+#include <utility>
 
 #include "graph/fill.hpp"
 #include "graph/ordering.hpp"
@@ -105,7 +106,7 @@ void GraphProblem::set_step(std::span<const double> step) {
   std::copy(step.begin(), step.end(), step_.begin());
 }
 
-void GraphProblem::analyze(OrderMethod method) {
+void GraphProblem::number_nodes() {
   nodes_ = Nodes{};
   nodes_.node_of.assign(held_.size(), -1);
   for (size_t v = 0; v < held_.size(); ++v) {
@@ -114,6 +115,18 @@ void GraphProblem::analyze(OrderMethod method) {
     nodes_.variable_of.push_back(static_cast<int32_t>(v));
     nodes_.weight.push_back(variable_dof_[v]);
   }
+}
+
+void GraphProblem::make_plan_for(const Adjacency& graph, std::span<const int32_t> order) {
+  multifrontal_.reset();
+  blocks_.assign(block_doubles_, 0.0);
+  plan_ = std::make_unique<Plan>(make_plan(groups_, blocks_.data(), nodes_, graph, order));
+  multifrontal_.emplace(*plan_);
+  elimination_.assign(static_cast<size_t>(plan_->scalars), 0.0);
+}
+
+void GraphProblem::analyze(OrderMethod method) {
+  number_nodes();
   const Adjacency graph = adjacency_of(groups_, nodes_);
   std::vector<int32_t> order(nodes_.weight.size());
   std::iota(order.begin(), order.end(), 0);
@@ -125,11 +138,28 @@ void GraphProblem::analyze(OrderMethod method) {
   } else if (method == OrderMethod::nested_dissection) {
     order = nested_dissection(graph, nodes_.weight);
   }
-  multifrontal_.reset();
-  blocks_.assign(block_doubles_, 0.0);
-  plan_ = std::make_unique<Plan>(make_plan(groups_, blocks_.data(), nodes_, graph, order));
-  multifrontal_.emplace(*plan_);
-  elimination_.assign(static_cast<size_t>(plan_->scalars), 0.0);
+  make_plan_for(graph, order);
+}
+
+void GraphProblem::analyze_in(std::span<const int32_t> variables) {
+  number_nodes();
+  std::vector<int32_t> order;
+  std::vector<uint8_t> taken(nodes_.weight.size(), 0);
+  const auto take = [&](int32_t node) {
+    if (node >= 0 && std::exchange(taken[static_cast<size_t>(node)], 1) == 0) order.push_back(node);
+  };
+  for (const int32_t v : variables) take(nodes_.node_of.at(static_cast<size_t>(v)));
+  for (size_t node = 0; node < taken.size(); ++node) take(static_cast<int32_t>(node));
+  order_used_ = OrderMethod::natural;
+  make_plan_for(adjacency_of(groups_, nodes_), order);
+}
+
+std::vector<int32_t> GraphProblem::elimination_order() const {
+  std::vector<int32_t> variables;
+  for (const FrontView& front : plan().fronts)
+    for (int32_t i = front.node_begin; i < front.node_begin + front.node_pivots; ++i)
+      variables.push_back(nodes_.variable_of[static_cast<size_t>(plan_->nodes[static_cast<size_t>(i)])]);
+  return variables;
 }
 
 const Plan& GraphProblem::plan() const {

@@ -39,6 +39,10 @@ class GraphProblem {
 
   // Orders the elimination and plans the fronts. Factors, families and held variables must not change afterwards.
   void analyze(OrderMethod method);
+  // In an order that is known already, such as a problem's of the same structure; free variables missing from it come last.
+  void analyze_in(std::span<const int32_t> variables);
+  // Free variables by elimination.
+  std::vector<int32_t> elimination_order() const;
   const Plan& plan() const;
   const Nodes& nodes() const { return nodes_; }
   OrderMethod order_used() const { return order_used_; }
@@ -68,7 +72,10 @@ class GraphProblem {
   const Multifrontal& factorization() const;
   std::span<const double> blocks() const { return blocks_; }
 
+
  private:
+  void number_nodes();
+  void make_plan_for(const Adjacency& graph, std::span<const int32_t> order);
   void scatter(std::span<const double> by_elimination, std::span<double> by_variable) const;
   void gather(std::span<const double> by_variable, std::span<double> by_elimination) const;
 

@@ -70,7 +70,7 @@ class _Measured:
 
 
 def chordal_values(
-    groups: Sequence[ResolvedGroup], values: Values, held: Indices, *, threads: int = 1
+    groups: Sequence[ResolvedGroup], values: Values, held: Indices, *, order: Indices | None = None, threads: int = 1
 ) -> Values | None:
     """Return values with poses from the chordal start, or None where the graph has no rotations to average.
 
@@ -86,6 +86,8 @@ def chordal_values(
         As given.
     held : (M,) int64
         Dense indices of held variables.
+    order : (K,) int64, optional
+        In which variables were found to be eliminated best: the linear problems have the same structure.
     threads : int
         For the native parts.
     """
@@ -99,7 +101,7 @@ def chordal_values(
         if family not in _DIMENSION:
             continue
         elements = family.elements(packed[number])
-        turned = _rotations(groups, family, elements, int(firsts[number]), is_held, threads)
+        turned = _rotations(groups, family, elements, int(firsts[number]), is_held, order=order, threads=threads)
         if turned is None:
             continue
         found = True
@@ -114,6 +116,7 @@ def chordal_values(
             pose_first=int(firsts[number]),
             point_first=-1 if points is None else int(firsts[points]),
             is_held=is_held,
+            order=order,
             threads=threads,
         )
         given = np.zeros((0, d)) if points is None else packed[points]
@@ -181,7 +184,14 @@ class _Turned:
 
 
 def _rotations(
-    groups: Sequence[ResolvedGroup], family: Family, elements: Array, first: int, is_held: Mask, threads: int
+    groups: Sequence[ResolvedGroup],
+    family: Family,
+    elements: Array,
+    first: int,
+    is_held: Mask,
+    *,
+    order: Indices | None,
+    threads: int,
 ) -> _Turned | None:
     """Return rotations from the linear relaxation ([2]_ section III-B; docs/theory/graph.md, eqs. 17-18).
 
@@ -219,6 +229,7 @@ def _rotations(
             weight=strength,
         ),
         _held_at(place[fixed], np.swapaxes(elements[fixed, :d, :d], 1, 2)),
+        order=_renumbered(order, [(first, np.where(moved, place, -1))]),
         threads=threads,
     )
     if x is None:
@@ -238,7 +249,20 @@ class _Scene:
     pose_first: int
     point_first: int
     is_held: Mask
+    order: Indices | None
     threads: int
+
+
+def _renumbered(order: Indices | None, parts: Sequence[tuple[int, Indices]]) -> Indices | None:
+    """Return an order of variables as one of unknowns; each part gives its first variable and the unknowns, -1: none."""
+    if order is None:
+        return None
+    unknown = np.full(int(order.max(initial=-1)) + 1, -1, dtype=np.int64)
+    for first, numbers in parts:
+        there = numbers[: max(len(unknown) - first, 0)]
+        unknown[first : first + len(there)] = there
+    found = unknown[order]
+    return found[found >= 0]
 
 
 def _place(scene: _Scene, turned: _Turned, elements: Array, points: Array) -> tuple[Array, Array] | None:
@@ -294,14 +318,18 @@ def _translations(
     label = connected(len(given), i, j)
     placed = np.isin(label, label[np.concatenate([np.flatnonzero(held), at])])
     held |= known & ~placed & (label == np.arange(len(given)))
-    order = np.cumsum(known) - 1
+    place = np.where(known, np.cumsum(known) - 1, -1)
+    parts = [(scene.pose_first, place[:n])]
+    if len(points):
+        parts.append((scene.point_first, place[n:]))
     x = solve_linear(
         int(known.sum()),
         Differences(
-            i=order[i], j=order[j], F=np.tile(np.eye(d), (len(i), 1, 1)), u=u[:, :, None], columns=1, weight=weight
+            i=place[i], j=place[j], F=np.tile(np.eye(d), (len(i), 1, 1)), u=u[:, :, None], columns=1, weight=weight
         ),
-        Anchors(at=order[at], value=value[:, :, None], weight=strength),
-        _held_at(order[held], given[held][:, :, None]),
+        Anchors(at=place[at], value=value[:, :, None], weight=strength),
+        _held_at(place[held], given[held][:, :, None]),
+        order=_renumbered(scene.order, parts),
         threads=scene.threads,
     )
     if x is None:

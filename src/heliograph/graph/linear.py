@@ -81,7 +81,13 @@ def connected(count: int, i: Indices, j: Indices) -> Indices:
 
 
 def solve_linear(
-    count: int, differences: Differences, anchors: Anchors, held: Anchors, *, threads: int = 1
+    count: int,
+    differences: Differences,
+    anchors: Anchors,
+    held: Anchors,
+    *,
+    order: Indices | None = None,
+    threads: int = 1,
 ) -> Array | None:
     """Return the x (count, d, K) that minimise the sum of weighted squares, or None if they are not determined.
 
@@ -93,6 +99,8 @@ def solve_linear(
         The rows.
     held : Anchors
         Unknowns with known values, one entry each.
+    order : (M,) int64, optional
+        In which the unknowns are eliminated; one is found without it.
     threads : int
         For the native parts.
 
@@ -114,7 +122,10 @@ def solve_linear(
         _add(native, _PRIOR, (anchors.at,), np.zeros((len(anchors.at), 0)), anchors.weight, d)
     native.hold(held.at.astype(np.int32))
     native.set_values(np.zeros(count * d))
-    native.analyze(ORDERINGS["auto"])
+    if order is None:
+        native.analyze(ORDERINGS["auto"])
+    else:
+        native.analyze_in(order.astype(np.int32))
     native.linearize(threads)
     if native.factorize(0.0, 0.0, threads) >= 0:
         return None

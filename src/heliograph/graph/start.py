@@ -74,7 +74,7 @@ def choose_start(problem: Problem, values: Values, initial: str, given: Cost) ->
     why = "asked for" if initial == "chordal" else _far_off(problem) if initial == "auto" else ""
     if not why:
         return Start(cost=given, text="given")
-    chordal = chordal_values(problem.groups, values, problem.held, threads=problem.threads)
+    chordal = _chordal(problem, values)
     if chordal is None:
         if initial == "auto":
             return Start(cost=given, text=f"given ({why}, but the graph has no chordal start)")
@@ -111,7 +111,7 @@ def second_start(problem: Problem, values: Values, end: Minimum) -> Start | None
     few = end.status == "max_iterations" and len(end.iterations) < _FEW
     if settled or few or end.status == "indefinite":
         return None
-    chordal = chordal_values(problem.groups, values, problem.held, threads=problem.threads)
+    chordal = _chordal(problem, values)
     if chordal is None:
         return None
     ended = problem.values()
@@ -122,6 +122,11 @@ def second_start(problem: Problem, values: Values, end: Minimum) -> Start | None
         return None
     told = f"the given start ended at chi2 {end.chi2:.6g}, the chordal one begins at {found.chi2:.6g}"
     return Start(cost=problem.linearize(), text=f"chordal, after the given one ({told})")
+
+
+def _chordal(problem: Problem, values: Values) -> Values | None:
+    order = problem.native.elimination_order().astype(np.int64)
+    return chordal_values(problem.groups, values, problem.held, order=order, threads=problem.threads)
 
 
 def _far_off(problem: Problem) -> str:
