@@ -153,6 +153,7 @@ class BayesTree {
     std::vector<int32_t> affected, orphans, open_factors;
   };
 
+  bool keep_order();
   Plan plan_elimination() const;
   size_t front_of(const Plan& plan, const TreeFactor& factor) const;
   void give_back(const Plan& plan, size_t done, const std::vector<double*>& factor, const std::vector<double*>& update);
@@ -235,6 +236,7 @@ class BayesTree {
   size_t grown_ = 0;                    // fresh variables whose numbers are new
   size_t eliminated_ = 0;               // variables, since the last solve
   std::vector<Saved> job_saved_;        // as saved_, by the earlier slices of an elimination
+  std::vector<int32_t> kept_order_;     // of the variables that wait
   Rest carried_;                        // the open part, as it was when this update began
   std::vector<int32_t> undo_;           // variables whose linearisation point was put back while the tree was open
   std::vector<int32_t> leaving_;

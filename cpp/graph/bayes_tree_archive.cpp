@@ -138,7 +138,7 @@ void BayesTree::archive(Archive& with) {
   if (mark != kMark) damaged();
   arrays(with, manifold_, dof_, theta_at_, delta_at_, clique_of_, theta_, delta_, changed_, fluid_flag_, held_, frozen_, fluid_);
   arrays(with, free_factors_, free_cliques_, roots_, made_, attached_);
-  arrays(with, affected_, orphans_, open_factors_, undo_);
+  arrays(with, affected_, orphans_, open_factors_, undo_, kept_order_);
   for (std::vector<int32_t>& free : free_variables_) arrays(with, free);
   saved_variables(with, job_saved_);
   plain(with, update_number_, solve_number_, counts_, open_, free_count_, eliminated_);
@@ -189,7 +189,7 @@ void BayesTree::check_loaded() const {
   for (size_t v = 0; v < n; ++v) inside(clique_of_[v], cliques_.size());
   for (const std::vector<int32_t>& free : free_variables_)
     for (const int32_t v : free) inside(v, n);
-  for (const std::vector<int32_t>* list : {&affected_, &undo_})
+  for (const std::vector<int32_t>* list : {&affected_, &undo_, &kept_order_})
     for (const int32_t v : *list) inside(v, n);
   for (const Saved& saved : job_saved_) inside(saved.variable, n);
   for (const int32_t c : orphans_) inside(c, cliques_.size());

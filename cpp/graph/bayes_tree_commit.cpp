@@ -78,9 +78,13 @@ size_t BayesTree::slice_of(const Plan& plan, size_t made, size_t most) const {
 // spread over several updates, could not be taken back later.
 int32_t BayesTree::undetermined_fresh() {
   Rest rest;
+  std::vector<int32_t> kept = std::exchange(kept_order_, {});
   for (const int32_t v : fresh_)
     if (held_[static_cast<size_t>(v)] == 0) rest.affected.push_back(v);
-  if (rest.affected.empty()) return -1;
+  if (rest.affected.empty()) {
+    kept_order_ = std::move(kept);
+    return -1;
+  }
   std::sort(rest.affected.begin(), rest.affected.end());
   rest.open_factors = loose_;
   for (const int32_t v : affected_) local_[static_cast<size_t>(v)] = -1;
@@ -95,6 +99,7 @@ int32_t BayesTree::undetermined_fresh() {
   for (const int32_t v : affected_) local_[static_cast<size_t>(v)] = -1;
   swap_rest(rest);
   number_affected();
+  kept_order_ = std::move(kept);
   return failed;
 }
 
@@ -116,6 +121,10 @@ void BayesTree::commit(const Plan& plan, const std::vector<double*>& factor, con
   for (size_t s = 0; s < done; ++s)
     if (stays_open(plan.fronts[s].parent)) rest.orphans.push_back(made_[s]);
   attached_.clear();
+  kept_order_.clear();
+  for (size_t s = done; s < fronts; ++s)
+    for (int32_t i = plan.fronts[s].node_begin; i < plan.fronts[s].node_begin + plan.fronts[s].node_pivots; ++i)
+      kept_order_.push_back(affected_[static_cast<size_t>(plan.nodes[static_cast<size_t>(i)])]);
   for (size_t e = 0; e < orphans_.size(); ++e) {
     const int32_t parent = plan.fronts[fronts + e].parent;
     if (stays_open(parent)) {

@@ -190,7 +190,28 @@ Adjacency BayesTree::adjacency(const Elements& elements, std::span<const int32_t
   return graph;
 }
 
+// Between slices the order that the rest had is kept, where little has come: ordering all of it anew would be the larger part
+// of the work. What new factors speak of goes last, as ever.
+bool BayesTree::keep_order() {
+  constexpr size_t kFew = 16;
+  if (kept_order_.empty() || affected_.size() > kept_order_.size() + kFew) return false;
+  std::vector<uint8_t> placed(affected_.size(), 0);
+  order_.clear();
+  for (const int32_t v : kept_order_) {
+    const auto node = static_cast<size_t>(local_[static_cast<size_t>(v)]);
+    placed[node] = 1;
+    order_.push_back(static_cast<int32_t>(node));
+  }
+  for (size_t i = 0; i < affected_.size(); ++i)
+    if (placed[i] == 0) order_.push_back(static_cast<int32_t>(i));
+  std::stable_partition(order_.begin(), order_.end(), [&](int32_t node) {
+    return (touched_flag_[static_cast<size_t>(affected_[static_cast<size_t>(node)])] & 1) == 0;
+  });
+  return true;
+}
+
 void BayesTree::reorder() {
+  if (keep_order()) return;
   const Elements old = elements();
   const Adjacency graph = adjacency(old, {});
   std::vector<int32_t> weight(graph.size(), 1), group(graph.size(), 0);
