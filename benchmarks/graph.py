@@ -87,8 +87,8 @@ def command(
     tail = [str(graph), str(out), *solver.options, *(["--cold"] if cold else [])]
     if solver.system == "ceres":
         return [str(programs["ceres"]), *tail]
-    python = programs["heliograph" if solver.system == "heliograph" else "rivals"]
-    return [str(python), str(_HERE / "graph_rivals" / f"{solver.system}_{script}.py"), *tail]
+    python = programs["heliograph" if solver.system.startswith("heliograph") else "rivals"]
+    return [str(python), str(_HERE / "graph_rivals" / f"{solver.system.replace('-', '_')}_{script}.py"), *tail]
 
 
 def run_once(

@@ -23,6 +23,7 @@ __all__ = ["INCREMENTAL_GRAPHS", "compare_incremental", "measure_incremental_sca
 INCREMENTAL_GRAPHS = ("M3500", "intel", "kitti_00", "sphere2500", "parking-garage", "hard")
 _SCALE_POSES = 1_000_000
 _LIMIT = 500.0  # seconds of updates
+_LAG = "200"  # poses that the fixed-lag smoother keeps
 _SEED = 1
 _STATISTICS = ("seconds", "mean_ms", "p50_ms", "p99_ms", "max_ms")
 
@@ -84,7 +85,8 @@ def measure_incremental_scale(
     if not path.exists():
         prepare(drive(count, np.random.default_rng(_SEED), sigmas=(0.0002, 0.02)).file, path)
     rows = []
-    for solver in _solvers((1,), limit):
+    lagged = Solver(system="heliograph-lag", options=(_LAG,))
+    for solver in (*_solvers((1,), limit), lagged):
         if solver.system == "gtsam" and not programs["rivals"].exists():
             continue
         account, _, cost = run_once(solver, path, work, programs, script="isam2", limit=4.0 * limit + 600.0)

@@ -8,7 +8,8 @@ from importlib.metadata import version
 
 import gtsam
 import numpy as np
-from files import read, report_replay, rotations
+from files import read, rotations
+from replays import report_replay
 
 SKIP, LIMIT = int(sys.argv[3]), float(sys.argv[4])
 ROTATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
@@ -42,20 +43,18 @@ seconds, reeliminated, fault = [], [], None
 for k in range(count):
     began = time.perf_counter()
     start = estimate(origin[k]) if k else None
-    read_seconds = time.perf_counter() - began
+    took = time.perf_counter() - began
     values = gtsam.Values()
     values.insert(k, start.compose(step[k]) if k else step[0])
-    began = time.perf_counter()
     try:
+        began = time.perf_counter()
         result = smoother.update(graphs[k], values)
     except RuntimeError as error:
         fault = f"aborts at pose {k}: {str(error).strip().splitlines()[0]}"
         break
-    seconds.append(time.perf_counter() - began + read_seconds)
+    seconds.append(time.perf_counter() - began + took)
     reeliminated.append(result.getVariablesReeliminated())
     if sum(seconds) > LIMIT:
         break
-found = None if len(seconds) < count else smoother.calculateEstimate()
-at = "atPose2" if PLANE else "atPose3"
-poses = None if found is None else np.array([getattr(found, at)(k).matrix() for k in range(count)])
+poses = np.array([estimate(k).matrix() for k in range(count)]) if len(seconds) == count else None
 report_replay(seconds, reeliminated, poses, version("gtsam"), {"fault": fault})

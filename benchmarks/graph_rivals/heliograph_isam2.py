@@ -8,7 +8,7 @@ import time
 from importlib.metadata import version
 
 import numpy as np
-from files import report_replay
+from replays import report_replay
 
 from heliograph.graph import ISAM2, ISAM2Settings, read_pose_graph
 from heliograph.graph.replay import replay, replay_steps

@@ -136,3 +136,20 @@ def test_graph_tables_say_where_the_bar_is_missed(graph_harness):
     text = tables.scale_section(grown, _table)
     assert "exponent 1.20" in text and "bare program with 1.00" in text
     assert scale.exponent(sizes, [n**1.2 for n in sizes]) == pytest.approx(1.2)
+
+
+def test_incremental_adapter_replays_a_graph(harness, tmp_path):
+    from benchmarks import graph_incremental, incremental_table, table
+
+    programs = {"heliograph": Path(sys.executable), "rivals": tmp_path / "none", "ceres": tmp_path / "none"}
+    rows = graph_incremental.measure_incremental_scale(tmp_path, programs, count=300)
+    assert [row["updates"] for row in rows] == [300, 300]
+    assert len(rows[0]["deciles_bytes_a_pose"]) == 10
+    assert "heliograph | 300" in incremental_table.incremental_scale_section(rows, table._table)
+    write_g2o(tmp_path / "small.g2o", manhattan(150, np.random.default_rng(3)).file)
+    rows = graph_incremental.compare_incremental(tmp_path, ["small"], tmp_path / "work", programs, runs=2)
+    assert [row["skip"] for row in rows] == [1, 10]
+    for row in rows:
+        assert row["chi2"] == pytest.approx(row["batch_chi2"], rel=0.05)
+        assert row["p50_ms"] <= row["p99_ms"] <= row["max_ms"]
+    assert "small" in incremental_table.incremental_section(rows, table._table)

@@ -72,6 +72,14 @@ def test_factor_graph_shows_the_textbook():
     assert _numbers(r"gives in by ([\d.]+) m", text) == [0.02]
 
 
+def test_filter_or_smoother_agree_until_the_loop_closes():
+    text = _run("filter_or_smoother.py")
+    assert max(_numbers(r"differ by ([\d.e+-]+)", text)) < 1e-12
+    least, most = _numbers(r"([\d.]+) (?:to|m)\b", text)[-2:]
+    assert 1e-5 < least < most
+    assert most > 1.0
+
+
 @pytest.mark.slow
 def test_tunnel_degeneracy_points_along_the_tunnel(tmp_path):
     text = _run("tunnel_degeneracy.py", tmp_path / "figure.png", 20)

@@ -267,6 +267,8 @@ class TreeState:
 
     def remove(self, numbers: ArrayLike) -> None:
         """Take factors out, and bring in what was switched, with the next elimination."""
+        if isinstance(numbers, tuple) and not numbers and not self._switched:
+            return
         array = np.asarray(numbers, dtype=np.int32).reshape(-1)
         try:
             if array.size:
