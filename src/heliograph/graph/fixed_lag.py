@@ -71,7 +71,7 @@ class FixedLagSmoother:
         stamps : mapping of key to time, or (keys, times), optional
             Of new variables, or later ones of variables that are to be kept longer. Finite.
         remove, iterate, most_variables
-            As `ISAM2.update` takes them. What a bound leaves open is done before anything is marginalised out.
+            As `ISAM2.update` takes them. While variables wait to be eliminated nothing is marginalised out.
 
         Raises
         ------
@@ -86,7 +86,7 @@ class FixedLagSmoother:
             self._stamps[key] = time
             heapq.heappush(self._oldest, (time, key))
             self._newest = max(self._newest, time)
-        old = self._too_old()
+        old = [] if self.smoother._state.native.waiting else self._too_old()
         if old:
             self.smoother.marginalize(np.array(old, dtype=np.int64))
         return result

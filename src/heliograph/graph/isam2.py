@@ -240,7 +240,8 @@ class ISAM2:
 
         The summary holds at the neighbours' linearisation points, which are kept from then on (first estimates): moved,
         they would disagree with it about the directions that the measurements leave free. Estimates and covariances of
-        what stays are as before. Memory of what leaves is used again; its keys cannot be.
+        what stays are as before. Memory of what leaves is used again, and so are the numbers of its
+        factors; its keys cannot be.
 
         Parameters
         ----------

@@ -153,7 +153,10 @@ class TreeState:
             raise UnderconstrainedError(
                 f"key {self._keys[failed]}: not determined where it was last linearised; nothing was marginalised out"
             )
-        self._drop(self.native.drop_left().tolist())
+        summarised = self.native.drop_left().tolist()
+        self._drop(summarised)
+        for number in summarised:
+            self._switched.pop(number, None)
         for number in numbers.tolist():
             key = self._keys[number]
             self._number.pop(key, None)

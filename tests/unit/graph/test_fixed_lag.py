@@ -171,6 +171,15 @@ class TestNonlinear:
         np.testing.assert_array_equal(state.native.linearization_point(at), before)
         assert np.abs(state.native.delta()).max() > 1e-3
 
+    def test_nothing_leaves_while_variables_wait(self):
+        kept, most = FixedLagSmoother(lag=20), []
+        for k, graph, values in pose_steps(60, 9):
+            kept.update(graph, values, {k: float(k)}, most_variables=3)
+            most.append(len(kept.stamps))
+        assert max(most) >= 21
+        kept.update()
+        assert len(kept.stamps) == 21
+
     def test_memory_is_flat(self):
         kept = FixedLagSmoother(lag=20)
         bytes_at = {}
