@@ -21,6 +21,7 @@ void check_graph_files();
 void check_graph_ordering();
 void check_graph_solver();
 void check_graph_factors();
+void check_graph_tree();
 void check_imu();
 void check_io();
 void check_maps();

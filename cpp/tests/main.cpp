@@ -7,6 +7,7 @@ int main() {
   check_graph_ordering();
   check_graph_solver();
   check_graph_factors();
+  check_graph_tree();
   check_imu();
   check_io();
   check_maps();

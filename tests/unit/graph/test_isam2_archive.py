@@ -31,6 +31,7 @@ def half(steps, settings=EAGER):
             step.graph(), step.values, remove=[spare.pop()] if k % 10 == 9 and spare else []
         ).factors
         spare += [int(numbers[row]) for row in step.spare]
+    smoother.update(remove=spare[1:4])  # several numbers are free now: in which order they are used again is state, too
     smoother.switch(spare[:1], on=False)
     return smoother
 
