@@ -126,18 +126,19 @@ void BayesTree::freeze(int32_t variable) {
 
 // Summaries of the same variables become one, so that their number does not grow with what has left.
 void BayesTree::merge_summary(int32_t index) {
+  const int32_t parent = cliques_[static_cast<size_t>(index)].parent;
+  std::vector<int32_t> others;
+  for (int32_t c = cliques_[static_cast<size_t>(parent)].child; c >= 0; c = cliques_[static_cast<size_t>(c)].next)
+    if (c != index && cliques_[static_cast<size_t>(c)].pivot_nodes == 0) others.push_back(c);
   int32_t into = index;
-  for (int32_t c = cliques_[static_cast<size_t>(cliques_[static_cast<size_t>(index)].parent)].child; c >= 0;) {
-    const int32_t next = cliques_[static_cast<size_t>(c)].next;
-    Clique &a = cliques_[static_cast<size_t>(into)], &b = cliques_[static_cast<size_t>(c)];
-    if (c != into && b.pivot_nodes == 0 && (has_all(a, b) || has_all(b, a))) {
-      const bool keep = has_all(a, b);
-      add_summary(keep ? b : a, keep ? a : b, dof_);
-      const int32_t gone = keep ? c : std::exchange(into, c);
-      unlink(gone);
-      release(gone);
-    }
-    c = next;
+  for (const int32_t c : others) {
+    const Clique &a = cliques_[static_cast<size_t>(into)], &b = cliques_[static_cast<size_t>(c)];
+    const bool keep = has_all(a, b);
+    if (!keep && !has_all(b, a)) continue;
+    add_summary(keep ? b : a, keep ? a : b, dof_);
+    const int32_t gone = keep ? c : std::exchange(into, c);
+    unlink(gone);
+    release(gone);
   }
 }
 

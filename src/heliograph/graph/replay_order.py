@@ -120,7 +120,7 @@ class ReplayOrder:
         if first is None:
             return None
         other, added, row = first
-        T_i_j = self._group(_measured(added)[row])
+        T_i_j = self._group(_measured(added, row))
         forward = int(added.record.keys[row, 0]) == other
         return Source(key, other, T_i_j if forward else T_i_j.inverse())
 
@@ -160,10 +160,10 @@ def _group_of(added: Added) -> type | None:
     return None if added.record.measured is None else added.record.measured.lie
 
 
-def _measured(added: Added) -> NDArray[np.float64]:
-    """Return the relative poses of a record as matrices (N, k, k)."""
+def _measured(added: Added, row: int) -> NDArray[np.float64]:
+    """Return the relative pose of a row as a matrix (k, k)."""
     assert added.record.measured is not None
-    return added.record.measured.elements(added.record.measurement)
+    return np.asarray(added.record.measured.elements(added.record.measurement[row : row + 1])[0])
 
 
 def _determined(added: Added) -> NDArray[np.bool_]:

@@ -158,7 +158,7 @@ class Values:
     def keys(self) -> Keys:
         """Return all keys (N,), family by family, each in the order of insertion: the dense order."""
         if len(self._blocks) == 1:
-            return self._blocks[0].keys.copy()
+            return np.array(self._blocks[0].keys)
         return np.concatenate([block.keys for block in self._blocks]) if self._blocks else np.zeros(0, dtype=np.int64)
 
     def counts(self) -> tuple[int, ...]:

@@ -178,3 +178,17 @@ def test_marginalising_finishes_first():
 def test_bad_bounds(options):
     with pytest.raises(GraphError, match="most_variables"):
         ISAM2().update(**options)
+
+
+def test_a_refusal_in_the_middle_of_a_relinearisation():
+    expected = closed(opened())
+    smoother = opened()
+    refused = 0
+    for _ in range(60):
+        result = smoother.update(most_variables=10)
+        if result.pending and smoother._state.native.waiting and refused < 5:
+            with pytest.raises(UnderconstrainedError):
+                smoother.update(graph_of(Between(200, 201, SE2.exp(np.zeros(3)), Isotropic(0.1))), two(200, 201))
+            refused += result.relinearized > 0
+    assert refused > 0
+    np.testing.assert_allclose(closed(smoother), expected, atol=1e-8, rtol=0)
