@@ -254,7 +254,7 @@ class _Scene:
 
 
 def _renumbered(order: Indices | None, parts: Sequence[tuple[int, Indices]]) -> Indices | None:
-    """Return an order of variables as one of unknowns; each part gives its first variable and the unknowns, -1: none."""
+    """Return an order of variables as one of unknowns; a part is its first variable and their unknowns, -1: none."""
     if order is None:
         return None
     unknown = np.full(int(order.max(initial=-1)) + 1, -1, dtype=np.int64)
