@@ -20,7 +20,7 @@ from heliograph.graph.worlds import World, grid_walk, manhattan
 
 __all__ = ["RIVALS", "WORLDS", "exponent", "measure_scale"]
 
-_OURS = Solver(system="heliograph", options=("lm",))
+_OURS = Solver(system="heliograph", options=("lm", "auto"))  # as a user runs it
 RIVALS = (
     Solver(system="gtsam", options=("gn", "MULTIFRONTAL_CHOLESKY", "METIS")),
     Solver(system="gtsam", options=("gn", "MULTIFRONTAL_CHOLESKY", "COLAMD")),
