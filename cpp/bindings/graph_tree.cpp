@@ -118,6 +118,7 @@ void bind_graph_tree(nb::module_& m) {
       .def("solve", [](BayesTree& t, double wildfire, double threshold) { unlocked([&] { t.solve(wildfire, threshold); }); },
            "wildfire"_a, "threshold"_a)
       .def("counts", &counts)
+      .def_prop_ro("work", [](const BayesTree& t) { return t.counts().work; })
       .def("estimate", [](const BayesTree& t, const Indices& v) { return doubles(t.estimate(span_of(v))); }, "variables"_a.noconvert())
       .def("linearization_point", [](const BayesTree& t, const Indices& v) { return doubles(t.linearization_point(span_of(v))); },
            "variables"_a.noconvert())

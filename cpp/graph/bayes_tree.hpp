@@ -53,6 +53,7 @@ struct TreeCounts {
   size_t factors = 0;    // assembled anew
   size_t linearized = 0;
   size_t solved = 0;     // variables whose step was computed
+  double work = 0.0;     // multiplications of the elimination
 };
 
 class BayesTree {

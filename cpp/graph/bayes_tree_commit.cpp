@@ -93,6 +93,7 @@ int32_t BayesTree::undetermined_fresh() {
   linearize_stale(nullptr, 0);
   reorder();
   const Plan plan = plan_elimination();
+  counts_.work = plan.flops;
   std::vector<double*> factor(plan.fronts.size(), nullptr), update(plan.fronts.size(), nullptr);
   const int32_t failed = run(plan, plan.fronts.size(), factor, update);
   if (failed < 0) give_back(plan, plan.fronts.size(), factor, update);

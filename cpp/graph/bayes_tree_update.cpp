@@ -126,7 +126,7 @@ void BayesTree::detach() {
       for (int a = 0; a < kind.arity; ++a)
         if ((touched_flag_[static_cast<size_t>(scope[a])] & 2) != 0) factor.stale = 1;
     }
-  counts_ = {0, taken_.size(), open_factors_.size(), 0, 0};
+  counts_ = {0, taken_.size(), open_factors_.size(), 0, 0, 0.0};
 }
 
 void BayesTree::number_affected() {
@@ -278,6 +278,7 @@ Plan BayesTree::plan_elimination() const {
 
 int32_t BayesTree::eliminate(size_t most) {
   const Plan plan = plan_elimination();
+  counts_.work = plan.flops;
   const size_t made = plan.fronts.size() - orphans_.size(), done = indivisible_ ? made : slice_of(plan, made, most);
   linearize_stale(&plan, done);
   std::vector<double*> factor(done, nullptr), update(plan.fronts.size(), nullptr);

@@ -26,7 +26,7 @@ __all__ = ["ISAM2", "ISAM2Settings", "UpdateResult"]
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 _UNBOUNDED = 1 << 40
-_FEW = 300  # variables to be linearised anew that an update does at once, in a second pass
+_LIGHT = 2e6  # multiplications of an elimination that is worth repeating within the same update
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,8 +179,9 @@ class ISAM2:
         threshold = self.settings.relinearize_threshold if due else np.inf
         work = self._pass(threshold, self.settings.wildfire, graph, values, clock, most)
         passes, converged = 1, not self._state.native.pending and not self._state.native.waiting
-        if iterate is None and due and most == _UNBOUNDED and 0 < self._state.native.fluid <= _FEW:
-            # A loop has moved a few variables far: one more pass now leaves the estimate right, not one update late.
+        tree = self._state.native
+        if iterate is None and due and most == _UNBOUNDED and tree.pending and tree.work <= _LIGHT:
+            # A loop has moved variables far: where that is cheap, a second pass leaves nothing for the next update.
             work = _sum(work, self._pass(threshold, self.settings.wildfire, None, None, clock, most))
             passes, converged = 2, not self._state.native.pending
         while iterate is not None and not (converged := self._state.native.largest_step() <= iterate):
