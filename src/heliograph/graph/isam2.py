@@ -76,7 +76,8 @@ class UpdateResult:
     solved : int
         Variables whose step was computed.
     iterations : int
-        Passes; more than one only where convergence was asked for.
+        Passes: one; two where variables moved beyond the threshold and the first was cheap; more only where convergence
+        was asked for.
     converged : bool
         Nothing is pending, and no step is longer than the threshold that was asked for.
     pending : int
@@ -180,8 +181,9 @@ class ISAM2:
         work = self._pass(threshold, self.settings.wildfire, graph, values, clock, most)
         passes, converged = 1, not self._state.native.pending and not self._state.native.waiting
         tree = self._state.native
-        if iterate is None and due and most == _UNBOUNDED and tree.pending and tree.work <= _LIGHT:
+        if iterate is None and due and threshold > 0.0 and most == _UNBOUNDED and tree.pending and tree.work <= _LIGHT:
             # A loop has moved variables far: where that is cheap, a second pass leaves nothing for the next update.
+            # With a threshold of zero something is always pending, and an update is one step of Gauss-Newton.
             work = _sum(work, self._pass(threshold, self.settings.wildfire, None, None, clock, most))
             passes, converged = 2, not self._state.native.pending
         while iterate is not None and not (converged := self._state.native.largest_step() <= iterate):

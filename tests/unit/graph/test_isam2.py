@@ -207,3 +207,21 @@ def test_settings_are_checked():
         ISAM2Settings(relinearize_threshold=-1.0)
     with pytest.raises(ConfigError):
         ISAM2Settings(relinearize_skip=0)
+
+
+@pytest.mark.parametrize(("threshold", "passes"), [(0.1, 2), (0.0, 1), (10.0, 1)])
+def test_a_loop_that_moves_much_gets_a_second_pass_where_that_is_cheap(threshold, passes):
+    smoother = ISAM2(ISAM2Settings(relinearize_threshold=threshold))
+    step = SE2.exp([2.0 * np.pi / 40.0 + 0.01, 1.0, 0.0])
+    graph, values = FactorGraph(), Values()
+    graph.add(Prior(0, SE2.identity(), Isotropic(0.01)))
+    values.insert(0, SE2.identity())
+    smoother.update(graph, values)
+    for key in range(1, 40):
+        graph, values = FactorGraph(), Values()
+        graph.add(Between(key - 1, key, step, Isotropic(0.05)))
+        values.insert(key, smoother.estimate(key - 1) @ step)
+        smoother.update(graph, values)
+    graph = FactorGraph()
+    graph.add(Between(39, 0, SE2.exp([2.0 * np.pi / 40.0, 1.0, 0.0]), Isotropic(0.01)))
+    assert smoother.update(graph).iterations == passes
