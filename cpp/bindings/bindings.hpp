@@ -44,6 +44,13 @@ nb::ndarray<nb::numpy, T, Extra...> to_numpy(std::vector<T>&& values, std::initi
   return nb::ndarray<nb::numpy, T, Extra...>(data, shape, owner);
 }
 
+// Does the work with the interpreter free for other threads; the work must not touch Python.
+template <typename Work>
+auto unlocked(Work&& work) {
+  nb::gil_scoped_release release;
+  return work();
+}
+
 void bind_cloud(nb::module_& m);
 void bind_graph_problem(nb::module_& m);
 void bind_graph_diagnosis(nb::module_& m);

@@ -27,12 +27,6 @@ std::vector<FamilyBlock> families_of(const Indices& code, const Indices& dof, co
   return families;
 }
 
-template <typename Work>
-auto unlocked(Work&& work) {
-  nb::gil_scoped_release release;
-  return work();
-}
-
 auto copied(std::span<const double> values) {
   return to_numpy<double>(std::vector<double>(values.begin(), values.end()), {values.size()});
 }

@@ -13,12 +13,6 @@ constexpr size_t kNoLimit = size_t{1} << 40;
 
 using Indices = Array<const int32_t, nb::ndim<1>>;
 
-template <typename Work>
-auto unlocked(Work&& work) {
-  nb::gil_scoped_release release;
-  return work();
-}
-
 auto numbers(std::vector<int32_t>&& values) {
   const size_t n = values.size();
   return to_numpy<int32_t>(std::move(values), {n});

@@ -136,7 +136,7 @@ def _other_lines(
             lines += [line] * len(ids)
         else:
             hint = closest(tag, KINDS) or f"; known are {', '.join(KINDS)}, FIX, PARAMS and comments"
-            raise FormatError(path, f"line {line}: unknown tag '{tag[:40]}'{hint}")
+            raise FormatError(path, f"line {line}: unknown tag {tag[:40]!a}{hint}")
     return np.array(fixed, dtype=np.int64), np.array(lines, dtype=np.int64), kept
 
 

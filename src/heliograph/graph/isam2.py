@@ -171,7 +171,7 @@ class ISAM2:
         """
         if most_variables is not None and (most_variables < 1 or iterate is not None):
             raise GraphError(f"most_variables={most_variables}: at least 1, and not together with iterate")
-        clock, most = _Clock(), most_variables or _UNBOUNDED
+        tree, clock, most = self._state.native, _Clock(), most_variables or _UNBOUNDED
         added = self._state.add(graph, values)  # 1. new factors and variables ...
         self._state.remove(remove)  # ... and what leaves
         before = self._state.cost() if costs else None
@@ -179,17 +179,16 @@ class ISAM2:
         due = (self._updates + 1) % self.settings.relinearize_skip == 0
         threshold = self.settings.relinearize_threshold if due else np.inf
         work = self._pass(threshold, self.settings.wildfire, graph, values, clock, most)
-        passes, converged = 1, not self._state.native.pending and not self._state.native.waiting
-        tree = self._state.native
+        passes, converged = 1, not tree.pending and not tree.waiting
         if iterate is None and due and threshold > 0.0 and most == _UNBOUNDED and tree.pending and tree.work <= _LIGHT:
             # A loop has moved variables far: where that is cheap, a second pass leaves nothing for the next update.
             # With a threshold of zero something is always pending, and an update is one step of Gauss-Newton.
             work = _sum(work, self._pass(threshold, self.settings.wildfire, None, None, clock, most))
-            passes, converged = 2, not self._state.native.pending
-        while iterate is not None and not (converged := self._state.native.largest_step() <= iterate):
+            passes, converged = 2, not tree.pending
+        while iterate is not None and not (converged := tree.largest_step() <= iterate):
             if passes >= most_iterations:
                 break
-            self._state.native.find_fluid(iterate)
+            tree.find_fluid(iterate)
             work = _sum(work, self._pass(iterate, 0.0, None, None, clock, most))
             passes += 1
         self._updates += 1
