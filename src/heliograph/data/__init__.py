@@ -1,5 +1,6 @@
 """Frozen records that the rooms exchange. No algorithms live here."""
 
+from heliograph.data.clock import ImuClock
 from heliograph.data.event import Event
 from heliograph.data.gnss import GnssFix
 from heliograph.data.imu import ImuBatch, ImuNoise
@@ -9,4 +10,4 @@ from heliograph.data.rig import Rig
 from heliograph.data.scan import Scan
 from heliograph.data.trajectory import Trajectory
 
-__all__ = ["Event", "GnssFix", "ImuBatch", "ImuNoise", "NavState", "Rig", "Scan", "ScanResult", "Trajectory"]
+__all__ = ["Event", "GnssFix", "ImuBatch", "ImuClock", "ImuNoise", "NavState", "Rig", "Scan", "ScanResult", "Trajectory"]

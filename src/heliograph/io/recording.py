@@ -249,7 +249,10 @@ class Recording:
         return self.tally.imu.accept(self._imu_stamp(message), message.received_ns)
 
     def _imu_stamp(self, message: RawImu) -> int:
-        return message.stamp_ns if self.interpretation.imu_stamp == "header" else message.received_ns
+        """Return the sample's time in the LiDAR's clock, which is the recording's."""
+        stamp_ns = message.stamp_ns if self.interpretation.imu_stamp == "header" else message.received_ns
+        clock = self.rig.clock
+        return stamp_ns if clock.exact else int(clock.lidar_time(np.int64(stamp_ns)))
 
     def _accept_cloud(self, message: RawCloud) -> bool:
         stamp_ns = message.stamp_ns if self.interpretation.timing.stamp == "header" else message.received_ns
