@@ -200,9 +200,8 @@ def _motion(*arguments: Array, jacobians: bool) -> tuple[Array, ...]:
     """Evaluate X_i, X_j, bias, perhaps gravity's variable, and of the data rows, samples and gravity or its scale."""
     X_i, X_j, bias, *variable, rows, samples, scale = arguments
     gravity = variable[0] * scale[:, None] if variable else scale
-    found: tuple[Array, ...] = _core.motion_residuals(
-        *map(np.ascontiguousarray, (X_i, X_j, bias, gravity, rows, samples)), jacobians
-    )
+    one_of_each = [np.ascontiguousarray(array) for array in (X_i, X_j, bias, gravity, rows, samples)]
+    found: tuple[Array, ...] = _core.motion_residuals(*one_of_each, jacobians=jacobians)
     return found
 
 
