@@ -200,8 +200,10 @@ def _motion(*arguments: Array, jacobians: bool) -> tuple[Array, ...]:
     """Evaluate X_i, X_j, bias, perhaps gravity's variable, and of the data rows, samples and gravity or its scale."""
     X_i, X_j, bias, *variable, rows, samples, scale = arguments
     gravity = variable[0] * scale[:, None] if variable else scale
-    one_of_each = [np.ascontiguousarray(array) for array in (X_i, X_j, bias, gravity, rows, samples)]
-    found: tuple[Array, ...] = _core.motion_residuals(*one_of_each, jacobians=jacobians)
+    flat = np.ascontiguousarray
+    found: tuple[Array, ...] = _core.motion_residuals(
+        flat(X_i), flat(X_j), flat(bias), flat(gravity), flat(rows), flat(samples), jacobians
+    )
     return found
 
 
