@@ -298,6 +298,15 @@ def preintegrate(
     biases: Annotated[NDArray[numpy.float64], dict(shape=(None, 6), order="C", device="cpu", writable=False)],
     model: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
 ) -> tuple[Any, ...]: ...
+def motion_residuals(
+    X_i: Annotated[NDArray[numpy.float64], dict(shape=(None, 5, 5), order="C", device="cpu", writable=False)],
+    X_j: Annotated[NDArray[numpy.float64], dict(shape=(None, 5, 5), order="C", device="cpu", writable=False)],
+    bias: Annotated[NDArray[numpy.float64], dict(shape=(None, 6), order="C", device="cpu", writable=False)],
+    gravity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    motion: Annotated[NDArray[numpy.float64], dict(shape=(None, 92), order="C", device="cpu", writable=False)],
+    sampled: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 7), order="C", device="cpu", writable=False)],
+    jacobians: bool,
+) -> tuple[Any, ...]: ...
 def decode_points(
     x: object, y: object, z: object, time: object | None, intensity: object | None, ring: object | None
 ) -> tuple[Any, ...]: ...

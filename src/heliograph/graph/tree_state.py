@@ -314,7 +314,7 @@ class TreeState:
 
     def _evaluate(self, own: Own, numbers: Ints, point: Point) -> None:
         arrays, data = self._arrays(own, numbers, point)
-        residual, jacobians = own.factor.evaluate(arrays, data)
+        residual, jacobians = own.factor.evaluate(arrays, data, families=own.families)
         flat = [np.ascontiguousarray(J).reshape(-1) for J in jacobians]
         self.native.set_custom(numbers, np.ascontiguousarray(residual).reshape(-1), flat)
 
