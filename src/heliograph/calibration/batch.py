@@ -1,20 +1,17 @@
-"""All of a calibration at once: poses of the LiDAR, inertial samples, mounting, clock, gravity and biases in a graph."""
+"""All of a calibration at once, as one graph: LiDAR poses, inertial samples, mounting, clock, gravity and biases."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.calibration.beliefs import Beliefs, LidarPoses, Motion, Prior
-from heliograph.calibration.inertial_tmp import Inertial, preint
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import CalibrationError
-from heliograph.factors import LidarPose
-from heliograph.factors.calibration_prior import CalibrationPrior
+from heliograph.factors import CalibrationPrior, CombinedImu, GravityDirection, LidarPose
 from heliograph.graph import (
     Covariance,
     Diagonal,
@@ -27,16 +24,17 @@ from heliograph.graph import (
     solve,
 )
 from heliograph.graph import Prior as GraphPrior
+from heliograph.imu import preintegrate
 from heliograph.lie import S2, SE3, ExtendedPose, se3, se23
 
-__all__ = ["Estimate", "estimate", "guess_motion", "rates_at"]
+__all__ = ["Estimate", "estimate", "guess_motion", "sampled_at"]
 
 Array = NDArray[np.float64]
 
 # Keys: the states count from 0, their biases from here; the rest is far above both.
 _BIASES, _MOUNTING, _CLOCK, _GRAVITY = 500_000, 1_000_000, 1_000_001, 1_000_002
 _KERNEL = 5.0  # sigmas of a whole pose (6 numbers) beyond which a scan that was placed wrongly loses weight
-_ROUNDS = 2  # of finding the size of the LiDAR's noise
+_ABOUT_NS = 25_000_000  # on either side of an instant
 _SIZES = (0.01, 100.0)  # between which that may change in one round
 
 
@@ -58,6 +56,8 @@ class Estimate:
         Of the first state's biases.
     poses : LidarPoses
         Those given, with covariances of the size that the residuals show.
+    size : (6,) float64
+        What their sigmas were multiplied with, by row.
     whitened : (N, 6) float64
         Residuals of the LiDAR's poses in units of that.
     solution : Solution
@@ -70,6 +70,7 @@ class Estimate:
     tilt_covariance: Array
     bias_covariance: Array
     poses: LidarPoses
+    size: Array
     whitened: Array
     solution: Solution
 
@@ -83,6 +84,7 @@ def estimate(
     start: Beliefs,
     motion: Motion,
     prior: Prior,
+    rounds: int = 2,
 ) -> Estimate:
     """Solve the graph of docs/theory/calibration.md, section 2, with the size of the LiDAR's noise found along.
 
@@ -100,6 +102,8 @@ def estimate(
     motion : Motion
         A guess at the same instants.
     prior : Prior
+    rounds : int
+        Solutions, each with the size of the LiDAR's noise that the one before shows.
 
     Raises
     ------
@@ -108,21 +112,22 @@ def estimate(
     """
     values = _values(start, motion)
     inertial = _inertial(imu, noise, config, start, motion)
-    for _ in range(_ROUNDS):
+    given, size = poses.covariance, np.ones(6)
+    for _ in range(rounds):
         graph = _graph(poses, imu, inertial, config, start, motion, prior)
         found = solve(graph, values, initial="given")
         if found.status not in ("converged", "max_iterations"):
             raise CalibrationError(
-                f"LiDAR and IMU do not fit each other (the solver {found.status} after {found.iterations} steps): check "
-                "the IMU's axes and units with `heliograph info`, and that both recorded the same motion"
+                f"LiDAR and IMU do not fit each other (the solver {found.status} after {found.iterations} steps): "
+                "check the IMU's axes and units with `heliograph info`, and that both recorded the same motion"
             )
         values = found.values
-        residual = _residual(poses, imu, start, values)
+        residual = _residual(poses, imu, start, motion, values)
         # With the calibration held: what it leaves open moves poses and mounting together, and no residual.
         held = graph.copy()
         held.fix([_MOUNTING, _CLOCK])
-        size = _size(poses, residual, Marginals(held, values).covariance(np.arange(len(poses))), values)
-        poses = replace(poses, covariance=size[:, None] * poses.covariance * size)
+        size = size * _size(poses, residual, Marginals(held, values).covariance(np.arange(len(poses))), values)
+        poses = replace(poses, covariance=size[:, None] * given * size)
     joint = Marginals(graph, values).joint([_MOUNTING, _CLOCK, _GRAVITY, _BIASES])
     L = np.linalg.cholesky(poses.covariance)
     return Estimate(
@@ -133,6 +138,7 @@ def estimate(
         tilt_covariance=joint[8:10, 8:10],
         bias_covariance=joint[10:, 10:],
         poses=poses,
+        size=size,
         whitened=np.linalg.solve(L, residual[:, :, None])[:, :, 0],
         solution=found,
     )
@@ -149,11 +155,23 @@ def guess_motion(poses: LidarPoses, beliefs: Beliefs, bias: Array) -> Motion:
     )
 
 
-def rates_at(imu: ImuBatch, at_ns: NDArray[np.int64], samples: Array) -> Array:
+def sampled_at(imu: ImuBatch, at_ns: NDArray[np.int64], samples: Array) -> Array:
     """Return the samples (M, 3) of a channel at stamps, (N, 3), interpolated linearly."""
     since = (imu.stamps_ns - imu.stamps_ns[0]).astype(np.float64)
     at = (at_ns - imu.stamps_ns[0]).astype(np.float64)
     return np.stack([np.interp(at, since, samples[:, i]) for i in range(3)], axis=1)
+
+
+def _mean_rates(imu: ImuBatch, at_ns: NDArray[np.int64]) -> Array:
+    """Return the gyroscope's mean over a short while about stamps, (N, 3) [rad/s].
+
+    One sample's noise would look like motion: at rest it would seem to tell the clock.
+    """
+    steps = np.diff(imu.stamps_ns)[:, None] * 1e-9
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (imu.gyro[1:] + imu.gyro[:-1]) * steps, axis=0)])
+    begin = np.maximum(at_ns - _ABOUT_NS, imu.stamps_ns[0])
+    end = np.minimum(at_ns + _ABOUT_NS, imu.stamps_ns[-1])
+    return np.asarray((sampled_at(imu, end, turned) - sampled_at(imu, begin, turned)) / ((end - begin)[:, None] * 1e-9))
 
 
 def _values(start: Beliefs, motion: Motion) -> Values:
@@ -166,21 +184,41 @@ def _values(start: Beliefs, motion: Motion) -> Values:
     return values
 
 
-def _inertial(imu, noise, config, start, motion) -> Any:
-    at = motion.stamps_ns
-    R, p, v, J, Q, dt = preint(imu, at[:-1], at[1:], noise, replace(config, curvature=0.0), motion.bias[:-1])
-    keys = np.arange(len(at))
-    last = np.full(len(at) - 1, _GRAVITY)
-    gm = float(np.linalg.norm(start.g_odom))
-    return Inertial(
-        (keys[:-1], _BIASES + keys[:-1], keys[1:], _BIASES + keys[1:], last),
-        data=(R, p, v, J, motion.bias[:-1], dt, np.full(len(at) - 1, gm)),
-        noise=Covariance(Q),
+def _inertial(imu: ImuBatch, noise: ImuNoise, config: ImuConfig, start: Beliefs, motion: Motion) -> CombinedImu:
+    """Return the factors of the inertial samples between the states."""
+    at, keys = motion.stamps_ns, np.arange(len(motion))
+    # Interpolating between samples adds noise for an odometry that must not be surprised by a slow IMU; here it would
+    # only blur sigmas, and what it stands for shows in the residuals.
+    exact = replace(config, curvature=0.0)
+    motions = preintegrate(
+        imu,
+        at[:-1],
+        at[1:],
+        noise=noise,
+        config=exact,
+        gyro_bias=motion.bias[:-1, :3],
+        accel_bias=motion.bias[:-1, 3:],
+    )
+    gravity = GravityDirection(key=_GRAVITY, magnitude=float(np.linalg.norm(start.g_odom)))
+    return CombinedImu(
+        keys[:-1],
+        _BIASES + keys[:-1],
+        keys[1:],
+        _BIASES + keys[1:],
+        motions,
+        gravity=gravity,
+        keep_samples=False,  # the rounds integrate anew at the biases found
     )
 
 
 def _graph(
-    poses: LidarPoses, imu: ImuBatch, inertial: Any, config: ImuConfig, start: Beliefs, motion: Motion, prior: Prior
+    poses: LidarPoses,
+    imu: ImuBatch,
+    inertial: CombinedImu,
+    config: ImuConfig,
+    start: Beliefs,
+    motion: Motion,
+    prior: Prior,
 ) -> FactorGraph:
     graph, keys, count = FactorGraph(), np.arange(len(poses)), len(poses)
     graph.add(inertial)
@@ -202,23 +240,25 @@ def _graph(
 
 def _pose_data(poses: LidarPoses, imu: ImuBatch, start: Beliefs, motion: Motion) -> tuple[Array, Array, Array]:
     """Return what the factor of the LiDAR's poses is made of: poses, body rates, seconds since the reference."""
-    omega = rates_at(imu, motion.stamps_ns, imu.gyro) - motion.bias[:, :3]
-    return poses.T_odom_lidar, omega, (poses.stamps_ns - start.clock.reference_ns) * 1e-9
+    omega = _mean_rates(imu, motion.stamps_ns) - motion.bias[:, :3]
+    span = np.asarray((poses.stamps_ns - start.clock.reference_ns) * 1e-9, dtype=np.float64)
+    return poses.T_odom_lidar, omega, span
 
 
-def _residual(poses: LidarPoses, imu: ImuBatch, start: Beliefs, values: Values) -> Array:
-    motion = _read_motion(values, Motion(stamps_ns=start.clock.imu_time(poses.stamps_ns), X_odom_imu=None, bias=values.at(_BIASES + np.arange(len(poses)))))
+def _residual(poses: LidarPoses, imu: ImuBatch, start: Beliefs, motion: Motion, values: Values) -> Array:
     count = len(poses)
     E = np.tile(values.at(_MOUNTING).matrix, (count, 1, 1))
     clock = np.tile(values.at(_CLOCK), (count, 1))
-    return np.asarray(LidarPose.residual(motion.X_odom_imu, E, clock, *_pose_data(poses, imu, start, motion)))
+    data = _pose_data(poses, imu, start, motion)
+    return np.asarray(LidarPose.residual(values.at(np.arange(count)).matrix, E, clock, *data))
 
 
 def _size(poses: LidarPoses, residual: Array, X_covariance: Array, values: Values) -> Array:
     """Return by how much the noise is larger than its covariance says, as a factor on sigma for each row, (6,).
 
     A residual's expected square is its variance less what the estimate took of it, so that
-    ``s^2 = sum r^2 / sum (C - J P J^T)`` (variance components: W. Förstner, 1979). Scans beyond the kernel are left out.
+    ``s^2 = sum r^2 / sum (C - J P J^T)`` (variance components: W. Förstner, 1979). Scans beyond the kernel are
+    left out.
     """
     E = values.at(_MOUNTING).matrix
     by_state = np.zeros((6, 9))

@@ -53,7 +53,7 @@ def align_turns(
 ) -> Coarse:
     """Search over clock offsets; for each, the rotation has a closed form.
 
-    Minimises ``sum |phi_imu(o) - R phi_lidar - b span|^2 / s^2`` plus the priors of R and of the offset o, eq. (1) of
+    Minimises ``sum |phi_imu(o) - R phi_lidar - b span|^2 / s^2`` plus the priors of R and of the offset o, eq. (2) of
     docs/theory/calibration.md: for one o it is Wahba's problem with the prior as one more term, by SVD, alternated
     with the mean for the gyroscope's bias b. The prior keeps a turn about the only axis that the motion turned about.
 
@@ -120,4 +120,5 @@ def _turns_at(
     here = R[k] @ so3.exp(np.clip(share, 0.0, 1.0)[:, None] * step)
     inside = (at_ns >= stamps[0]) & (at_ns <= stamps[-1])
     turns = so3.log(np.swapaxes(here[:-window], -1, -2) @ here[window:])
-    return turns, (at_ns[window:] - at_ns[:-window]) * 1e-9, inside[:-window] & inside[window:]
+    spans = np.asarray((at_ns[window:] - at_ns[:-window]) * 1e-9, dtype=np.float64)
+    return turns, spans, np.asarray(inside[:-window] & inside[window:])

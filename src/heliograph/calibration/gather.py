@@ -1,24 +1,26 @@
-"""What a calibration starts from: the scans, thinned, the inertial samples, and where the LiDAR alone believes it was."""
+"""What a calibration starts from: thinned scans, inertial samples, and where the LiDAR alone believes it was."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
-from heliograph.data import GnssFix, ImuBatch, Rig, Scan
+from heliograph.data import GnssFix, ImuBatch, Rig, Scan, ScanResult
 from heliograph.errors import DataError
 from heliograph.odometry import FilterOdometry
 
-__all__ = ["Evidence", "gather", "thinned"]
+__all__ = ["Evidence", "gather", "refined", "thinned"]
 
 Array = NDArray[np.float64]
-Message = Scan | ImuBatch | GnssFix
+Message: TypeAlias = Scan | ImuBatch | GnssFix
 
 _FEWEST_SCANS, _FEWEST_SAMPLES = 20, 20
+_EVEN = 0.2  # by which share neighbouring sample periods may differ for a cubic through them to make sense
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +68,8 @@ def gather(stream: Iterable[Message], config: RunConfig, *, threads: int = 1) ->
         Too few scans that match each other, or too few inertial samples.
     """
     sensor = Rig(T_imu_lidar=np.eye(4), source="the lidar frame itself")
-    odometry = FilterOdometry(config, sensor, sensors=frozenset({"lidar"}), threads=threads)
+    thrifty = replace(config, cloud=replace(config.cloud, target_points=config.calibration.matches))
+    odometry = FilterOdometry(thrifty, sensor, sensors=frozenset({"lidar"}), threads=threads)
     scans: dict[int, Scan] = {}
     batches: list[ImuBatch] = []
     poses: dict[int, Array] = {}
@@ -95,6 +98,31 @@ def gather(stream: Iterable[Message], config: RunConfig, *, threads: int = 1) ->
     )
 
 
+def refined(imu: ImuBatch) -> ImuBatch:
+    """Return the samples with one more half way between each two, on the cubic through the four around it.
+
+    The straight line between samples that integration assumes cuts the tops of a motion: of one with frequency f
+    sampled each T seconds it takes the share ``(2 pi f T)^2 / 12``. At 200 Hz that is little, but a calibration sees
+    it: some 10 us of clock offset. Where the periods differ, as in gaps, nothing is put in.
+    """
+    steps = np.diff(imu.stamps_ns).astype(np.float64)
+    around = np.stack([steps[:-2], steps[1:-1], steps[2:]])
+    even = around.max(axis=0) - around.min(axis=0) <= _EVEN * around[1]
+    k = 1 + np.flatnonzero(even)  # the middle lies between samples k and k + 1
+
+    def with_middles(samples: Array) -> Array:
+        outer, inner = samples[k - 1] + samples[k + 2], samples[k] + samples[k + 1]
+        return np.insert(samples, k + 1, (9.0 * inner - outer) / 16.0, axis=0)
+
+    middles = imu.stamps_ns[k] + (imu.stamps_ns[k + 1] - imu.stamps_ns[k]) // 2
+    return replace(
+        imu,
+        stamps_ns=np.insert(imu.stamps_ns, k + 1, middles),
+        gyro=with_middles(imu.gyro),
+        accel=with_middles(imu.accel),
+    )
+
+
 def thinned(scan: Scan, points: int) -> Scan:
     """Return the scan with at most about ``points`` of its points, taken at equal steps."""
     step = max(1, -(-len(scan) // points))
@@ -107,12 +135,8 @@ def thinned(scan: Scan, points: int) -> Scan:
     )
 
 
-def _placed(results: Iterable[object]) -> dict[int, Array]:
-    return {
-        result.end_ns: result.T_odom_imu  # type: ignore[attr-defined]
-        for result in results
-        if result.status in ("tracked", "degenerate", "first")  # type: ignore[attr-defined]
-    }
+def _placed(results: Iterable[ScanResult]) -> dict[int, Array]:
+    return {r.end_ns: r.T_odom_imu for r in results if r.status in ("tracked", "degenerate", "first")}
 
 
 def _joined(batches: list[ImuBatch]) -> ImuBatch:

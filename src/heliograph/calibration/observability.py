@@ -178,9 +178,9 @@ def kept_in_words(observed: Observed, prior: Array) -> tuple[str, ...]:
             v = U[:, k] * np.sign(U[np.argmax(np.abs(U[:, k])), k])
             axis = ", ".join(f"{x:+.2f}" for x in v)
             lines.append(f"{name} ({axis}): not excited, kept at its prior; {_REMEDIES[name]}")
-    for k in (6, 7):
-        if float((scaled[k] ** 2).sum()) > _MOSTLY:
-            lines.append(f"{AXES[k]}: not excited, kept at its prior; {_REMEDIES[AXES[k]]}")
+    for row, name in zip(scaled[6:], AXES[6:], strict=True):
+        if float((row**2).sum()) > _MOSTLY:
+            lines.append(f"{name}: not excited, kept at its prior; {_REMEDIES[name]}")
     return tuple(lines)
 
 

@@ -64,9 +64,7 @@ def lidar_path(motion: Motion, beliefs: Beliefs, imu: ImuBatch, noise: ImuNoise,
         begin, end = _state(motion, k, beliefs), _state(motion, k + 1, beliefs)
         first = max(int(np.searchsorted(imu.stamps_ns, begin.stamp_ns, side="right")) - 1, 0)
         last = int(np.searchsorted(imu.stamps_ns, end.stamp_ns, side="left")) + 1
-        part = replace(
-            imu, stamps_ns=imu.stamps_ns[first:last], gyro=imu.gyro[first:last], accel=imu.accel[first:last]
-        )
+        part = replace(imu, stamps_ns=imu.stamps_ns[first:last], gyro=imu.gyro[first:last], accel=imu.accel[first:last])
         _, path = propagate(begin, part, end.stamp_ns, noise=noise, config=config)
         path = corrected_path(path, end)
         stamps.append(path.stamps_ns[:-1])
@@ -136,8 +134,8 @@ class Placer:
         good = [(scan, *fit) for scan, fit in zip(swept, found, strict=True) if fit is not None]
         if len(good) < 3 or 2 * len(good) < len(swept):
             raise CalibrationError(
-                f"only {len(good)} of {len(swept)} scans match the map that all of them make: the surroundings hold too "
-                "few planes, or most of them move; record before walls and floors"
+                f"only {len(good)} of {len(swept)} scans match the map that all of them make: the surroundings hold "
+                "too few planes, or most of them move; record before walls and floors"
             )
         return LidarPoses(
             stamps_ns=np.array([scan.middle_ns for scan, _, _ in good], dtype=np.int64),
@@ -174,13 +172,9 @@ class Placer:
             self._picks[k] = picked
         return np.ascontiguousarray(scan.points[self._picks[k]])
 
-    def _register(
-        self, scan: _Swept, points: NDArray[np.float32], local_map: VoxelMap
-    ) -> tuple[Array, Array] | None:
+    def _register(self, scan: _Swept, points: NDArray[np.float32], local_map: VoxelMap) -> tuple[Array, Array] | None:
         """Return the pose and its covariance (right perturbation) by the planes alone, or None without enough."""
-        settings = MatchSettings(
-            gate=_GATE, kernel=_KERNEL, sigma=_SIGMA, fallback_stride=0, threads=self._threads
-        )
+        settings = MatchSettings(gate=_GATE, kernel=_KERNEL, sigma=_SIGMA, fallback_stride=0, threads=self._threads)
         T = scan.T_odom_lidar
         for _ in range(_STEPS):
             equations = linearize(local_map, points, T, np.eye(4), settings)
@@ -197,9 +191,7 @@ class Placer:
 
 
 def _covers(path: LidarPath, scan: Scan) -> bool:
-    return bool(
-        len(scan) > 0 and scan.stamp_ns >= int(path.stamps_ns[0]) and scan.end_ns <= int(path.stamps_ns[-1])
-    )
+    return bool(len(scan) > 0 and scan.stamp_ns >= int(path.stamps_ns[0]) and scan.end_ns <= int(path.stamps_ns[-1]))
 
 
 def _in_range(scan: Scan, config: RunConfig) -> Scan:

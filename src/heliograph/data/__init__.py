@@ -10,4 +10,15 @@ from heliograph.data.rig import Rig
 from heliograph.data.scan import Scan
 from heliograph.data.trajectory import Trajectory
 
-__all__ = ["Event", "GnssFix", "ImuBatch", "ImuClock", "ImuNoise", "NavState", "Rig", "Scan", "ScanResult", "Trajectory"]
+__all__ = [
+    "Event",
+    "GnssFix",
+    "ImuBatch",
+    "ImuClock",
+    "ImuNoise",
+    "NavState",
+    "Rig",
+    "Scan",
+    "ScanResult",
+    "Trajectory",
+]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,13 +26,13 @@ class CalibrationPrior(Factor):
     rows = 8
 
     @staticmethod
-    def residual(E: Array, clock: Array, E_0: Array, clock_0: Array) -> Any:
+    def residual(E: Array, clock: Array, E_0: Array, clock_0: Array) -> Array:
         """Return the differences to the prior (N, 8)."""
         phi = so3.log(E[:, :3, :3] @ np.swapaxes(E_0[:, :3, :3], -1, -2))
         return np.concatenate([phi, E[:, :3, 3] - E_0[:, :3, 3], clock - clock_0], axis=1)
 
     @staticmethod
-    def jacobians(E: Array, clock: Array, E_0: Array, clock_0: Array) -> Any:  # noqa: ARG004
+    def jacobians(E: Array, clock: Array, E_0: Array, clock_0: Array) -> tuple[Array, Array]:  # noqa: ARG004
         """Return the derivatives by the mounting (N, 8, 6) and the clock (N, 8, 2)."""
         R = E[:, :3, :3]
         phi = so3.log(R @ np.swapaxes(E_0[:, :3, :3], -1, -2))

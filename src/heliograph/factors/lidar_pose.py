@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -34,12 +32,14 @@ class LidarPose(Factor):
     rows = 6
 
     @staticmethod
-    def residual(X: Array, E: Array, clock: Array, Z: Array, omega_imu: Array, span: Array) -> Any:
+    def residual(X: Array, E: Array, clock: Array, Z: Array, omega_imu: Array, span: Array) -> Array:
         """Return the difference between predicted and measured pose (N, 6)."""
         return se3.log(se3.inverse(Z) @ _moved(X, clock, omega_imu, span) @ E)
 
     @staticmethod
-    def jacobians(X: Array, E: Array, clock: Array, Z: Array, omega_imu: Array, span: Array) -> Any:
+    def jacobians(
+        X: Array, E: Array, clock: Array, Z: Array, omega_imu: Array, span: Array
+    ) -> tuple[Array, Array, Array]:
         """Return the derivatives by the state (N, 6, 9), the mounting (N, 6, 6) and the clock (N, 6, 2)."""
         moved = _moved(X, clock, omega_imu, span)
         by_mounting = se3.right_jacobian_inverse(se3.log(se3.inverse(Z) @ moved @ E))

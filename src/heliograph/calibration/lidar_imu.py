@@ -8,20 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.calibration.batch import Estimate, estimate, guess_motion, rates_at
+from heliograph.calibration.batch import Estimate, sampled_at
 from heliograph.calibration.beliefs import Beliefs, LidarPoses, Prior
 from heliograph.calibration.coarse import align_turns
-from heliograph.calibration.gather import Evidence, Message, gather
+from heliograph.calibration.gather import Evidence, Message, gather, refined
 from heliograph.calibration.observability import (
     Axis,
     Observed,
-    analyse,
-    difference,
     judge_axes,
     kept_in_words,
     prior_sigmas,
 )
 from heliograph.calibration.placing import Placer, lidar_path
+from heliograph.calibration.rounds import Rounds, change_from, settle
 from heliograph.config import ImuConfig, RunConfig
 from heliograph.data import ImuBatch, ImuClock, ImuNoise, Rig
 from heliograph.errors import DataError
@@ -34,9 +33,6 @@ __all__ = ["Calibration", "Excitation", "calibrate"]
 Array = NDArray[np.float64]
 
 _ROUGH = (0.02, 0.03)  # one-sigma of the LiDAR's own odometry to begin with [rad], [m]; its size is found
-_HOLD = 1e4  # how many times the prior's information holds a direction that is kept, while solving
-_SETTLED = 0.2  # of its sigma: a smaller change of every observed direction ends the rounds
-_FEWEST_PASSES = 3
 _REST_NS, _FEWEST_AT_REST = 1_000_000_000, 20
 
 
@@ -150,10 +146,10 @@ def calibrate(
     config = _for_rig(config, rig)
     evidence = gather(stream, config, threads=threads)
     noise = noise or measured_noise(evidence.imu, config.imu)
+    evidence = replace(evidence, imu=refined(evidence.imu))
     run = _Run(evidence, config, noise, threads)
     prior = run.prior(rig)
-    rounds = run.rounds(prior, *run.first(prior))
-    return run.conclude(rig, prior, rounds)
+    return run.conclude(rig, prior, run.rounds(prior))
 
 
 def _for_rig(config: RunConfig, rig: Rig) -> RunConfig:
@@ -166,16 +162,6 @@ def _for_rig(config: RunConfig, rig: Rig) -> RunConfig:
         prior_lever=max(config.calibration.prior_lever, rig.sigma_translation),
     )
     return replace(config, calibration=widened)
-
-
-@dataclass(frozen=True, slots=True)
-class _Rounds:
-    """How the rounds ended."""
-
-    estimate: Estimate
-    observed: Observed  # with directions in the tangent space at the prior, imu axes
-    passes: int
-    settled: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +205,7 @@ class _Run:
             ),
             clock,
         )
-        force = rates_at(evidence.imu, clock.imu_time(poses.stamps_ns), evidence.imu.accel)
+        force = sampled_at(evidence.imu, clock.imu_time(poses.stamps_ns), evidence.imu.accel)
         R_odom_imu = poses.T_odom_lidar[:, :3, :3] @ coarse.R_imu_lidar.T
         up = np.einsum("nij,nj->i", R_odom_imu, force)
         g_odom = -self.config.imu.gravity * up / np.linalg.norm(up)
@@ -241,50 +227,30 @@ class _Run:
             covariance=poses.covariance[inside],
         )
 
-    def rounds(self, prior: Prior, beliefs: Beliefs, poses: LidarPoses, bias: Array) -> _Rounds:
-        """Solve, de-skew and place in turn until nothing that matters changes."""
-        imu, config = self.evidence.imu, self.config
-        placer = Placer(self.evidence.scans, config, threads=self.threads)
-        held, told = prior, np.zeros(8)
-        for number in range(1, config.calibration.passes + 1):
-            found = estimate(
-                poses,
-                imu,
-                noise=self.noise,
-                config=config.imu,
-                start=beliefs,
-                motion=guess_motion(poses, beliefs, bias),
-                prior=held,
-            )
-            observed = self._observed(found, held)
-            before, told = told, observed.told(_change(prior, found.beliefs))
-            settled = number >= _FEWEST_PASSES and _within(told - before, observed)
-            if settled or number == config.calibration.passes:
-                break
-            held = replace(prior, information=_holding(prior, observed))
-            beliefs, bias = found.beliefs, found.motion.bias.mean(axis=0)
-            poses = self._covered(
-                placer.place(lidar_path(found.motion, beliefs, imu, self.noise, config.imu)), beliefs.clock
-            )
-        return _Rounds(found, observed, number, settled)
+    def rounds(self, prior: Prior) -> Rounds:
+        """Solve, de-skew and place in turn."""
+        placer = Placer(self.evidence.scans, self.config, threads=self.threads)
 
-    def _observed(self, found: Estimate, held: Prior) -> Observed:
-        """Return what the data alone tell, with the directions as changes from the prior."""
-        calibration = self.config.calibration
-        sigmas = prior_sigmas(calibration)
-        G = np.concatenate(found.change_by_calibration, axis=1)
-        information = np.linalg.inv(G @ found.covariance @ G.T) - held.information
-        return analyse(np.linalg.inv(information + np.diag(sigmas**-2.0)), sigmas, calibration.gain)
+        def place(found: Estimate) -> LidarPoses:
+            path = lidar_path(found.motion, found.beliefs, self.evidence.imu, self.noise, self.config.imu)
+            return placer.place(path)
 
-    def conclude(self, rig: Rig, prior: Prior, rounds: _Rounds) -> Calibration:
+        beliefs, poses, bias = self.first(prior)
+        return settle(
+            poses, place, self.evidence.imu, noise=self.noise, config=self.config, prior=prior, start=beliefs, bias=bias
+        )
+
+    def conclude(self, rig: Rig, prior: Prior, rounds: Rounds) -> Calibration:
         """Put the prior back along what was not excited, and give an account."""
         found, config = rounds.estimate, self.config.calibration
-        change = rounds.observed.told(_change(prior, found.beliefs))
+        change = rounds.observed.told(change_from(prior, found.beliefs))
         T = prior.T_imu_lidar.copy()
         T[:3, :3] = so3.exp(change[:3]) @ T[:3, :3]
         T[:3, 3] += change[3:6]
         clock = replace(prior.clock, offset=float(change[6]), drift=float(change[7]))
-        back = np.linalg.inv(_to_prior(prior, replace(found.beliefs, T_imu_lidar=T)))
+        # The directions are changes from the prior; what is reported are errors of the result.
+        back = np.eye(8)
+        back[:3, :3] = so3.left_jacobian(change[:3])
         observed = replace(rounds.observed, directions=back @ rounds.observed.directions)
         axes = judge_axes(observed, np.concatenate([change[:3], T[:3, 3], [clock.offset, clock.drift]]), config)
         noise = np.sqrt(np.mean(np.diagonal(found.poses.covariance, axis1=1, axis2=2), axis=0))
@@ -311,8 +277,8 @@ class _Run:
 
     def _excitation(self, found: Estimate, axes: tuple[Axis, ...]) -> tuple[Excitation, ...]:
         imu, motion = self.evidence.imu, found.motion
-        rate = rates_at(imu, motion.stamps_ns, imu.gyro) - motion.bias[:, :3]
-        force = rates_at(imu, motion.stamps_ns, imu.accel) - motion.bias[:, 3:]
+        rate = sampled_at(imu, motion.stamps_ns, imu.gyro) - motion.bias[:, :3]
+        force = sampled_at(imu, motion.stamps_ns, imu.accel) - motion.bias[:, 3:]
         acceleration = force + np.einsum("nji,j->ni", motion.X_odom_imu[:, :3, :3], found.beliefs.g_odom)
         return tuple(
             Excitation(
@@ -327,45 +293,23 @@ class _Run:
 
 
 def measured_noise(imu: ImuBatch, config: ImuConfig) -> ImuNoise:
-    """Return the noise of an IMU from the calmest second of a recording, or what is assumed of one never at rest."""
-    starts = np.arange(imu.stamps_ns[0], imu.stamps_ns[-1] - _REST_NS + 1, _REST_NS // 2)
+    """Return the noise of an IMU from the seconds at rest in a recording, or what is assumed of one never at rest."""
     rests = []
-    for start in starts.tolist():
-        first, last = np.searchsorted(imu.stamps_ns, [start, start + _REST_NS])
+    for start in range(int(imu.stamps_ns[0]), int(imu.stamps_ns[-1]) - _REST_NS + 1, _REST_NS // 2):
+        first, last = np.searchsorted(imu.stamps_ns, [start, start + _REST_NS]).tolist()
         if last - first >= _FEWEST_AT_REST:
-            part = slice(int(first), int(last))
-            rests.append(
-                assess_stillness(
-                    replace(imu, stamps_ns=imu.stamps_ns[part], gyro=imu.gyro[part], accel=imu.accel[part]), config
-                )
+            rest = assess_stillness(
+                replace(
+                    imu,
+                    stamps_ns=imu.stamps_ns[first:last],
+                    gyro=imu.gyro[first:last],
+                    accel=imu.accel[first:last],
+                ),
+                config,
             )
-    still = [rest for rest in rests if rest.still]
-    if not still:
+            rests += [rest.noise] if rest.still else []
+    if not rests:
         return configured_noise(config)
-    return min(still, key=lambda rest: float(np.linalg.norm(rest.gyro_sigma))).noise
-
-
-def _change(prior: Prior, beliefs: Beliefs) -> Array:
-    """Return what leads from the prior to the beliefs, (8,): imu axes, in the tangent space at the prior."""
-    clock = [beliefs.clock.offset - prior.clock.offset, beliefs.clock.drift - prior.clock.drift]
-    return np.concatenate([difference(prior.T_imu_lidar, beliefs.T_imu_lidar), clock])
-
-
-def _to_prior(prior: Prior, beliefs: Beliefs) -> Array:
-    """Return what takes small changes at the beliefs to changes of `_change`, (8, 8), both along imu axes."""
-    J = np.eye(8)
-    J[:3, :3] = so3.left_jacobian_inverse(_change(prior, beliefs)[:3])
-    return J
-
-
-def _holding(prior: Prior, observed: Observed) -> Array:
-    """Return the prior's information (8, 8), with the directions that are kept held fast."""
-    # The rows of the inverse measure each direction by itself: a motion along the others does not stretch them.
-    rows = np.linalg.inv(observed.directions)[observed.kept]
-    return np.asarray(prior.information + _HOLD * rows.T @ rows)
-
-
-def _within(step: Array, observed: Observed) -> bool:
-    """Whether a change is small against the sigma of every direction that the data tell."""
-    parts = (np.linalg.inv(observed.directions) @ step)[~observed.kept]
-    return bool(np.all(np.abs(parts) * np.sqrt(1.0 + observed.gains[~observed.kept] ** 2) < _SETTLED))
+    # The median: the calmest of many would be too calm by chance, the mean is moved by a second that was not at rest.
+    gyro, accel = (float(np.median([getattr(rest, name) for rest in rests])) for name in ("gyro", "accel"))
+    return replace(rests[0], gyro=gyro, accel=accel)
