@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from heliograph.config import RunConfig
 from heliograph.data import Event, ImuBatch, NavState, Rig
 from heliograph.imu import StaticStart, assess_stillness
-from heliograph.imu.static_start import configured_noise
+from heliograph.imu.white_floor import noise_in_motion
 from heliograph.lie import s2, so3
 from heliograph.odometry.filter import FilterCore
 from heliograph.odometry.motion import MotionModel
@@ -80,7 +80,7 @@ def find_start(packets: Sequence[Packet], imu: ImuBatch, rig: Rig, config: RunCo
         events: tuple[Event, ...] = ()
     else:
         state = _moving_state(begin_ns, imu, rest, moved, rig, config)
-        motion = MotionModel(config.imu, config.filter, configured_noise(config.imu))
+        motion = MotionModel(config.imu, config.filter, noise_in_motion(imu, config.imu))
         events = (_moving_event(begin_ns, rest, moved),)
     return Start(state=_rebased(state, motion, imu, packets[0].end_ns), motion=motion, events=events)
 
