@@ -1,8 +1,8 @@
 """`heliograph calibrate`: what a recording tells about its own sensors.
 
-Each kind of calibration is a module of its own with one function that measures, writes and prints; this one reads the
-options and calls it. So far there is the IMU's noise (``--noise``, `heliograph.cli.calibrate_noise`); that of the
-mounting and the clocks is what the command will do without ``--noise``.
+Each kind of calibration is a module of its own that measures, writes and prints; this one reads the options and calls
+it. So far there is the noise of the IMU (``--noise``, `heliograph.cli.calibrate_noise.noise_command`). What the command
+does without ``--noise``, mounting and clocks, comes after the first ``if`` of `calibrate`, which stays as it is.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ def calibrate(
     from heliograph.cli.calibrate_noise import noise_command
     from heliograph.errors import ConfigError
 
-    if not noise:
-        raise ConfigError("say what to calibrate: --noise for the noise of the IMU")
     resolved = options.build_config(
         config, settings, input=options.input_options(None, imu_topic, None, start, duration)
     )
     folder = output or Path(f"{recordings[0].resolve().stem}_calibration")
-    noise_command(recordings, resolved, folder, overwrite=overwrite, json=json, quiet=quiet)
+    if noise:
+        noise_command(recordings, resolved, folder, overwrite=overwrite, json=json, quiet=quiet)
+        return
+    raise ConfigError("say what to calibrate: --noise for the noise of the IMU")

@@ -85,6 +85,22 @@ def test_maximum_is_where_a_general_optimiser_finds_it():
     assert fit.log_likelihood == pytest.approx(-found.fun, abs=1e-4)
 
 
+def test_covariance_is_the_inverse_information_of_the_restricted_likelihood():
+    """Eq. (7) with the projector written out as a matrix."""
+    bands = band_spectrum([draw(np.random.default_rng(3), 400, PERIOD, white=1.0, walk=1.0)], PERIOD)
+    fit = maximise(bands, ["white", "walk"])
+    single = bands.count == 1.0
+    shapes = term_spectra(bands.frequency, PERIOD)[[1, 3]]
+    w = 1.0 / (fit.squares @ shapes)
+    r = bands.ramp
+    P = np.diag(w) - np.outer(w * r, w * r) / np.sum(w * r**2)
+    repeated = np.where(single, 0.0, bands.count - 1.0)  # coefficients of a band beyond its first
+    information = np.array(
+        [[0.5 * np.trace(P * a @ P * b) + 0.5 * np.sum(repeated * w**2 * a * b) for a in shapes] for b in shapes]
+    ) * np.outer(fit.squares, fit.squares)
+    np.testing.assert_allclose(fit.log_covariance, np.linalg.inv(information), rtol=1e-6)
+
+
 def test_white_noise_and_walk_are_recovered_within_their_sigmas():
     channels = fits({"white": 1.0, "walk": 0.3}, n=60_000, seeds=range(40))
     assert_calibrated(normalised_errors(channels, "white", 1.0), 40)
