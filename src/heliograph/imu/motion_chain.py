@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.imu.preintegration import Preintegration
 from heliograph.lie import s2, so3
 
-__all__ = ["Chain", "Deltas", "Solution", "relax"]
+__all__ = ["NODE", "SHARED", "Chain", "Solution", "relax"]
 
 Array = NDArray[np.float64]
 
@@ -21,33 +22,6 @@ NODE, SHARED = 9, 9
 """Rotation, position, velocity of an instant; gyro bias, accelerometer bias, gravity direction, log scale of all."""
 
 _POSE = slice(0, 6)
-_SETTLED = 1e-6  # the largest step of any unknown at which the iteration ends [rad], [m], [m/s] ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Deltas:
-    """Preintegrated motion of N intervals, each in the body frame at its own start.
-
-    Parameters
-    ----------
-    span : (N,) float64
-        [s].
-    R : (N, 3, 3) float64
-        Rotation from the interval's end to its start.
-    p, v : (N, 3) float64
-        What position [m] and velocity [m/s] gained, gravity and the first velocity left out.
-    covariance : (N, 9, 9) float64
-        Of rotation (right), position, velocity.
-    by_bias : (N, 9, 6) float64
-        Derivative of those errors by gyroscope and accelerometer bias.
-    """
-
-    span: Array
-    R: Array
-    p: Array
-    v: Array
-    covariance: Array
-    by_bias: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,7 +96,9 @@ class Solution:
         return float(max(np.abs(self.nodes).max(), np.abs(self.shared).max()))
 
 
-def relax(chain: Chain, deltas: Deltas, measured: tuple[Array, Array, Array], prior: tuple[Array, Array]) -> Solution:
+def relax(
+    chain: Chain, deltas: Preintegration, measured: tuple[Array, Array, Array], prior: tuple[Array, Array]
+) -> Solution:
     """Return the Gauss-Newton step of the chain, eq. (8) to (11), with covariances.
 
     Parameters
@@ -156,7 +132,7 @@ def relax(chain: Chain, deltas: Deltas, measured: tuple[Array, Array, Array], pr
     information = H.copy()
     H[NODE:, NODE:] += np.diag(weight)
     b[NODE:] += weight * off
-    covariance = np.linalg.inv(H)
+    covariance: Array = np.asarray(np.linalg.inv(H), dtype=np.float64)
     first = -covariance @ b
     nodes, velocity_covariance = _back_substituted(first, covariance, eliminated[::-1])
     return Solution(
@@ -198,39 +174,50 @@ def _back_substituted(
     return np.stack(nodes), np.stack(velocities)
 
 
-def _interval_equations(chain: Chain, deltas: Deltas) -> tuple[Array, Array, float]:
+def _interval_equations(chain: Chain, deltas: Preintegration) -> tuple[Array, Array, float]:
     """Return the normal equations of each interval over (earlier, later, shared), (N, 27, 27) and (N, 27)."""
-    residual, J = _interval_residuals(chain, deltas)
-    weight = np.linalg.inv(deltas.covariance)
+    to_first = _to_first_frame(deltas.delta_R)
+    by_bias = to_first @ deltas.bias_jacobian
+    weight = to_first @ np.linalg.inv(deltas.covariance) @ np.swapaxes(to_first, -1, -2)
+    residual, J = _interval_residuals(chain, deltas, by_bias)
     weighted = np.swapaxes(J, -1, -2) @ weight
     b = (weighted @ residual[..., None])[..., 0]
     cost = float(np.einsum("ki,kij,kj->", residual, weight, residual))
     return weighted @ J, b, cost
 
 
-def _interval_residuals(chain: Chain, deltas: Deltas) -> tuple[Array, Array]:
+def _to_first_frame(delta_R: Array) -> Array:
+    """Return what turns errors of position and velocity from the body frame at the end to that at the start."""
+    Q = np.zeros((len(delta_R), 9, 9))
+    Q[:, 0:3, 0:3], Q[:, 3:6, 3:6], Q[:, 6:9, 6:9] = np.eye(3), delta_R, delta_R
+    return Q
+
+
+def _interval_residuals(chain: Chain, deltas: Preintegration, by_bias: Array) -> tuple[Array, Array]:
     """Eq. (6) and its derivative by the 27 unknowns of each interval."""
-    n, dt = len(deltas.span), deltas.span[:, None]
+    n, dt = len(deltas), deltas.duration_s[:, None]
+    fallen, falling = deltas.gravity_s2[:, None], deltas.gravity_s[:, None]
     R0, R1 = chain.R[:-1], chain.R[1:]
     back = np.swapaxes(R0, -1, -2)
     shrink = float(np.exp(-chain.log_scale))
-    E = np.swapaxes(deltas.R, -1, -2) @ back @ R1
+    E = np.swapaxes(deltas.delta_R, -1, -2) @ back @ R1
     turn = so3.log(E)
-    moved = _turned(back, chain.p[1:] - chain.p[:-1] - chain.v[:-1] * dt - 0.5 * chain.g * dt**2)
-    gained = _turned(back, chain.v[1:] - chain.v[:-1] - chain.g * dt)
-    residual = np.concatenate([turn, moved - shrink * deltas.p, gained - shrink * deltas.v], axis=1)
+    moved = _turned(back, chain.p[1:] - chain.p[:-1] - chain.v[:-1] * dt - chain.g * fallen)
+    gained = _turned(back, chain.v[1:] - chain.v[:-1] - chain.g * falling)
+    residual = np.concatenate([turn, moved - shrink * deltas.delta_p, gained - shrink * deltas.delta_v], axis=1)
     inverse = so3.right_jacobian_inverse(turn)
-    tilt = back @ (float(np.linalg.norm(chain.g)) * s2.basis(chain.g / np.linalg.norm(chain.g)))
+    magnitude = float(np.linalg.norm(chain.g))
+    tilt = back @ (magnitude * s2.basis(chain.g / magnitude))
     J = np.zeros((n, 9, 2 * NODE + SHARED))
     J[:, 0:3, 0:3] = -inverse @ np.swapaxes(R1, -1, -2) @ R0
     J[:, 3:6, 0:3], J[:, 6:9, 0:3] = so3.hat(moved), so3.hat(gained)
     J[:, 3:6, 3:6], J[:, 3:6, 6:9], J[:, 6:9, 6:9] = -back, -back * dt[..., None], -back
     J[:, 0:3, 9:12], J[:, 3:6, 12:15], J[:, 6:9, 15:18] = inverse, back, back
-    J[:, 0:3, 18:21] = -inverse @ np.swapaxes(E, -1, -2) @ deltas.by_bias[:, 0:3, 0:3]
-    J[:, 3:9, 18:24] = -shrink * deltas.by_bias[:, 3:9]
-    J[:, 3:6, 24:26] = -0.5 * dt[..., None] ** 2 * tilt
-    J[:, 6:9, 24:26] = -dt[..., None] * tilt
-    J[:, 3:6, 26], J[:, 6:9, 26] = shrink * deltas.p, shrink * deltas.v
+    J[:, 0:3, 18:21] = -inverse @ np.swapaxes(E, -1, -2) @ by_bias[:, 0:3, 0:3]
+    J[:, 3:9, 18:24] = -shrink * by_bias[:, 3:9]
+    J[:, 3:6, 24:26] = -fallen[..., None] * tilt
+    J[:, 6:9, 24:26] = -falling[..., None] * tilt
+    J[:, 3:6, 26], J[:, 6:9, 26] = shrink * deltas.delta_p, shrink * deltas.delta_v
     return residual, J
 
 

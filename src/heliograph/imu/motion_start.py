@@ -8,17 +8,17 @@ with the poses, weighted by what each is known to. Equation numbers are those of
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph import _core
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, Trajectory
 from heliograph.errors import DataError
-from heliograph.imu.motion_chain import Chain, Deltas, Solution, relax
-from heliograph.imu.propagation import native_model
+from heliograph.imu.motion_chain import NODE, SHARED, Chain, Solution, relax
+from heliograph.imu.preintegration import Preintegration, preintegrate
 from heliograph.lie import s2, se3, so3
 
 __all__ = ["Excitation", "MotionStart", "align_motion"]
@@ -34,6 +34,7 @@ _GOOD_TILT, _FAIR_TILT = np.radians(0.5), np.radians(2.0)
 _GOOD_SPEED, _FAIR_SPEED = 0.1, 0.5  # [m/s]
 # Squared error in units of its variance, on average, from which poses and IMU contradict each other.
 _STRAINED, _CONTRADICTORY = 4.0, 25.0
+_HELD_SCALE = 1e-6  # sigma of the logarithm of a scale that is not asked for
 _AXES = "xyz"
 
 
@@ -186,23 +187,17 @@ def align_motion(
     """
     _check(poses, pose_covariance, imu, T_imu_lidar)
     stamps, measured = _measurements(poses, pose_covariance, T_imu_lidar, begin_ns)
-    sigmas = np.concatenate(
-        [np.full(3, config.gyro_bias_sigma), np.full(3, config.accel_bias_sigma), np.full(2, np.inf), [scale_sigma]]
-    )
-    # A scale that is held has the narrowest of priors: the same algebra serves both.
-    weight = np.where(np.isfinite(sigmas), np.maximum(sigmas, 1e-6) ** -2.0, 0.0)
-    bias, deltas = _gyro_bias(stamps, measured, imu, noise, config, weight[0])
+    sigmas = np.repeat([config.gyro_bias_sigma, config.accel_bias_sigma, np.inf, scale_sigma], [3, 3, 2, 1])
+
+    def between(gyro_bias: Array, accel_bias: Array) -> Preintegration:
+        return preintegrate(
+            imu, stamps[:-1], stamps[1:], noise=noise, config=config, gyro_bias=gyro_bias, accel_bias=accel_bias
+        )
+
+    bias, deltas = _gyro_bias(measured, between, config)
     chain = _closed_form(stamps, measured, deltas, bias, config)
-    iterations, step = 0, np.inf
-    while iterations < _MOST_ITERATIONS and step > _SETTLED:
-        deltas = _preintegrated(stamps, imu, noise, config, chain.gyro_bias, chain.accel_bias)
-        off = np.concatenate([chain.gyro_bias, chain.accel_bias, np.zeros(2), [chain.log_scale]])
-        solution = relax(chain, deltas, measured, (off, weight))
-        chain = chain.moved(solution.nodes, solution.shared)
-        iterations, step = iterations + 1, solution.largest
-    excitation = _excitation(stamps, chain, imu, poses)
-    freedom = 6 * len(poses) + int(np.count_nonzero(weight)) - 9 - 9
-    misfit = solution.cost / max(freedom, 1)
+    chain, solution, iterations, settled = _settled(chain, measured, between, sigmas)
+    freedom = 6 * len(poses) + int(np.isfinite(sigmas).sum()) - NODE - SHARED
     found = MotionStart(
         stamps_ns=stamps,
         R_odom_imu=chain.R,
@@ -215,14 +210,33 @@ def align_motion(
         g_odom=chain.g,
         covariance=solution.covariance,
         information=solution.information,
-        excitation=excitation,
-        misfit=misfit,
+        excitation=_excitation(stamps, chain, imu, poses),
+        misfit=solution.cost / max(freedom, 1),
         iterations=iterations,
         verdict="",
         reason="",
         unobservable=_unobserved(solution, sigmas),
     )
-    return _judged(found, settled=step <= _SETTLED, config=config)
+    return _judged(found, settled=settled)
+
+
+def _settled(
+    chain: Chain,
+    measured: tuple[Array, Array, Array],
+    between: Callable[[Array, Array], Preintegration],
+    sigmas: Array,
+) -> tuple[Chain, Solution, int, bool]:
+    """Repeat Gauss-Newton steps, each on motion integrated anew with the biases found, until they are negligible."""
+    # A scale that is held has the narrowest of priors: the same algebra serves both.
+    weight = np.where(np.isfinite(sigmas), np.maximum(sigmas, _HELD_SCALE) ** -2.0, 0.0)
+    for iteration in range(1, _MOST_ITERATIONS + 1):
+        deltas = between(chain.gyro_bias, chain.accel_bias)
+        off = np.concatenate([chain.gyro_bias, chain.accel_bias, np.zeros(2), [chain.log_scale]])
+        solution = relax(chain, deltas, measured, (off, weight))
+        chain = chain.moved(solution.nodes, solution.shared)
+        if solution.largest < _SETTLED:
+            return chain, solution, iteration, True
+    return chain, solution, _MOST_ITERATIONS, False
 
 
 def _check(poses: Trajectory, pose_covariance: Array, imu: ImuBatch, T_imu_lidar: Array | None) -> None:
@@ -253,7 +267,7 @@ def _measurements(
         J[:, 3:6, 0:3] = -T[:, :3, :3] @ so3.hat(T_lidar_imu[:3, 3])
         T, P = T @ T_lidar_imu, J @ P @ np.swapaxes(J, -1, -2)
     least = np.repeat([_LEAST_ROTATION**2, _LEAST_POSITION**2], 3)
-    information = np.linalg.inv(P + np.diag(least))
+    information: Array = np.asarray(np.linalg.inv(P + np.diag(least)), dtype=np.float64)
     stamps, R, p = poses.stamps_ns, T[:, :3, :3], T[:, :3, 3]
     if begin_ns is not None and begin_ns < stamps[0]:
         stamps = np.concatenate([[np.int64(begin_ns)], stamps])
@@ -262,82 +276,63 @@ def _measurements(
     return stamps, (R, p, information)
 
 
-def _preintegrated(
-    stamps: NDArray[np.int64], imu: ImuBatch, noise: ImuNoise, config: ImuConfig, gyro_bias: Array, accel_bias: Array
-) -> Deltas:
-    """Return the motion that the IMU saw between the stamps, each interval in its own first body frame, eq. (3)."""
-    vectors = np.zeros((5, 3))
-    vectors[2], vectors[3] = gyro_bias, accel_bias
-    model, identity, no_gravity = native_model(noise, config), np.eye(3), np.zeros((3, 2))
-    rows = [
-        _core.propagate(imu.stamps_ns, imu.gyro, imu.accel, int(a), int(b), identity, vectors, no_gravity, model)
-        for a, b in zip(stamps[:-1], stamps[1:], strict=True)
-    ]
-    return Deltas(
-        span=np.diff(stamps) * 1e-9,
-        R=np.stack([row[1][-1] for row in rows]),
-        p=np.stack([row[2][-1] for row in rows]),
-        v=np.stack([row[3][-1] for row in rows]),
-        covariance=np.stack([0.5 * (row[5] + row[5].T)[:9, :9] for row in rows]),
-        by_bias=np.stack([row[4][:9, 9:15] for row in rows]),
-    )
+def _first_seen(information: Array) -> int:
+    """Return the number of the first instant with a measured pose."""
+    return int(np.nonzero(information[:, 0, 0] > 0.0)[0][0])
 
 
 def _gyro_bias(
-    stamps: NDArray[np.int64],
-    measured: tuple[Array, Array, Array],
-    imu: ImuBatch,
-    noise: ImuNoise,
-    config: ImuConfig,
-    prior: float,
-) -> tuple[Array, Deltas]:
+    measured: tuple[Array, Array, Array], between: Callable[[Array, Array], Preintegration], config: ImuConfig
+) -> tuple[Array, Preintegration]:
     """Return the bias with which the gyroscope turns as the poses do, eq. (4), and the motion with it."""
     R, _, information = measured
-    seen = np.nonzero(information[:, 0, 0] > 0.0)[0]
-    first = int(seen[0])
-    bias = np.zeros(3)
+    first, bias, prior = _first_seen(information), np.zeros(3), config.gyro_bias_sigma**-2.0
     for _ in range(3):
-        deltas = _preintegrated(stamps, imu, noise, config, bias, np.zeros(3))
+        deltas = between(bias, np.zeros(3))
         turns = np.swapaxes(R[first:-1], -1, -2) @ R[first + 1 :]
-        residual = so3.log(np.swapaxes(deltas.R[first:], -1, -2) @ turns)
-        J = deltas.by_bias[first:, 0:3, 0:3]
+        residual = so3.log(np.swapaxes(deltas.delta_R[first:], -1, -2) @ turns)
+        J = deltas.bias_jacobian[first:, 0:3, 0:3]
         # Both ends of a turn err.
         weight = float(np.mean(np.trace(information[first:, :3, :3], axis1=1, axis2=2))) / 6.0
         H = weight * np.einsum("kji,kjl->il", J, J) + prior * np.eye(3)
         bias = bias + np.linalg.solve(H, weight * np.einsum("kji,kj->i", J, residual) - prior * bias)
-    return bias, _preintegrated(stamps, imu, noise, config, bias, np.zeros(3))
+    return bias, between(bias, np.zeros(3))
 
 
 def _closed_form(
-    stamps: NDArray[np.int64], measured: tuple[Array, Array, Array], deltas: Deltas, gyro_bias: Array, config: ImuConfig
+    stamps: NDArray[np.int64],
+    measured: tuple[Array, Array, Array],
+    deltas: Preintegration,
+    gyro_bias: Array,
+    config: ImuConfig,
 ) -> Chain:
     """Return the chain that fits the positions best when the measured rotations are taken as they are, eq. (5)."""
     R, p, information = measured
-    R = R.copy()
-    first = int(np.nonzero(information[:, 0, 0] > 0.0)[0][0])
+    R, first = R.copy(), _first_seen(information)
     for k in range(first - 1, -1, -1):
-        R[k] = R[k + 1] @ deltas.R[k].T
-    n, t = len(R), np.concatenate([[0.0], np.cumsum(deltas.span)])
-    # Position and velocity relative to the first: what the accelerometer gives, and its derivative by the bias.
+        R[k] = R[k + 1] @ deltas.delta_R[k].T
+    n, t = len(R), (stamps - stamps[0])[:, None] * 1e-9
+    # Position and velocity relative to the first: what the accelerometer gives, and its derivative by the bias, which
+    # is told in the frame at each interval's end.
     S, V = np.zeros((n, 3, 4)), np.zeros((n, 3, 4))
     for k in range(n - 1):
-        gained = R[k] @ np.column_stack([deltas.v[k], deltas.by_bias[k, 6:9, 3:6]])
-        moved = R[k] @ np.column_stack([deltas.p[k], deltas.by_bias[k, 3:6, 3:6]])
-        S[k + 1] = S[k] + V[k] * deltas.span[k] + moved
-        V[k + 1] = V[k] + gained
+        step, end = deltas.duration_s[k], R[k] @ deltas.delta_R[k]
+        S[k + 1] = S[k] + V[k] * step
+        S[k + 1] += np.column_stack([R[k] @ deltas.delta_p[k], end @ deltas.bias_jacobian[k, 3:6, 3:6]])
+        V[k + 1] = V[k] + np.column_stack([R[k] @ deltas.delta_v[k], end @ deltas.bias_jacobian[k, 6:9, 3:6]])
     one = np.tile(np.eye(3), (n, 1, 1))
-    A = np.concatenate([one, t[:, None, None] * one, 0.5 * t[:, None, None] ** 2 * one, S[:, :, 1:]], axis=2)[first:]
+    A = np.concatenate([one, t[..., None] * one, 0.5 * t[..., None] ** 2 * one, S[:, :, 1:]], axis=2)[first:]
     weight = float(np.mean(np.trace(information[first:, 3:, 3:], axis1=1, axis2=2))) / 3.0
     H = weight * np.einsum("kij,kil->jl", A, A)
     H[9:, 9:] += config.accel_bias_sigma**-2.0 * np.eye(3)
     x = np.linalg.solve(H, weight * np.einsum("kij,ki->j", A, p[first:] - S[first:, :, 0]))
     x0, v0, g, bias = x[0:3], x[3:6], x[6:9], x[9:12]
-    sensed = np.concatenate([[1.0], bias])
     g = config.gravity * g / max(float(np.linalg.norm(g)), 1e-9)
+    sensed = np.concatenate([[1.0], bias])
     return Chain(
         R=R,
-        p=x0 + t[:, None] * v0 + 0.5 * t[:, None] ** 2 * g + S @ sensed,
-        v=v0 + t[:, None] * g + V @ sensed,
+        p=x0 + t * v0 + 0.5 * t**2 * g + S @ sensed,
+        v=v0 + t * g + V @ sensed,
         gyro_bias=gyro_bias,
         accel_bias=bias,
         g=g,
@@ -375,7 +370,7 @@ def _tilt_covariance(R_odom_imu: Array, g_odom: Array, covariance: Array) -> Arr
     return np.asarray(J @ covariance[np.ix_(rows, rows)] @ J.T)
 
 
-def _judged(found: MotionStart, *, settled: bool, config: ImuConfig) -> MotionStart:
+def _judged(found: MotionStart, *, settled: bool) -> MotionStart:
     """Add the verdict; where the data contradict themselves their covariance grows by as much."""
     if found.misfit > _STRAINED:
         found = replace(

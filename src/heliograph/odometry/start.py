@@ -1,4 +1,4 @@
-"""Where the filter begins: at rest or in motion, which way is down, how fast, what the biases are, and how well known."""
+"""Where the filter begins: at rest or in motion, which way is down, how fast, with what biases, and how well known."""
 
 from __future__ import annotations
 
