@@ -122,10 +122,18 @@ def assess_stillness(imu: ImuBatch, config: ImuConfig) -> StaticStart:
 
 
 def _block_means(imu: ImuBatch, samples: NDArray[np.float64], block: float) -> NDArray[np.float64]:
-    """Return the means over consecutive blocks of ``block`` seconds, (B, 6); what is left at the end is dropped."""
-    number = (imu.stamps_ns - imu.stamps_ns[0]) // max(int(block * 1e9), 1)
-    whole = int(number[-1])
-    return np.stack([samples[number == k].mean(axis=0) for k in range(whole) if (number == k).any()] or [samples[0]])
+    """Return the means over blocks of ``block`` seconds that overlap by half, (B, 6), under Hann windows.
+
+    A plain mean lets several percent of a vibration through, more or less by its frequency; the window's
+    sidelobes are an order lower, from two periods a block on.
+    """
+    t = (imu.stamps_ns - imu.stamps_ns[0]) * (1e-9 / block)
+    means = []
+    for begin in np.arange(0.0, float(t[-1]) - 1.0 + 1e-6, 0.5):
+        weight = np.where(np.abs(t - begin - 0.5) < 0.5, np.sin(np.pi * (t - begin)) ** 2, 0.0)
+        if float(weight.sum()) > 0.0:
+            means.append(weight @ samples / weight.sum())
+    return np.stack(means) if means else samples[:1]
 
 
 def _vibrates(sigma: NDArray[np.float64], blocks: NDArray[np.float64], config: ImuConfig) -> bool:
@@ -161,7 +169,7 @@ def _mean_covariance(
     white = np.cov(samples, rowvar=False, bias=True) / count
     if not vibrating:
         return np.asarray(white)
-    slow = np.cov(blocks, rowvar=False) / len(blocks)
+    slow = np.cov(blocks, rowvar=False) / (0.5 * (len(blocks) + 1))  # they overlap by half
     return np.asarray(slow if np.trace(slow[3:, 3:]) > np.trace(white[3:, 3:]) else white)
 
 

@@ -6,7 +6,7 @@ model: constant velocity alone, the gyroscope with constant velocity, or the who
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,9 +33,10 @@ UNKNOWN_SPEED, UNKNOWN_RATE = 5.0, 1.0
 _LOOSE_GYRO, _LOOSE_ACCEL = 0.03, 3.0
 _FOUND_SPEED = 0.3  # of a velocity that an alignment has found already [m/s]
 _FEWEST_POSES = 5
-# Passes with the IMU after the first: each de-skews with what the one before it found, until the velocity stays [m/s].
-_MOST_PASSES = 4
+# Passes, each de-skewed with what the one before it found, until the velocity stays [m/s].
+_MOST_PASSES = 5
 _SAME_SPEED = 0.02
+_FAST = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
 _SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
 
 
@@ -137,14 +138,37 @@ def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> LidarM
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Followed:
+    """Poses of the scans that matched, with covariances, and which share of the points did."""
+
+    poses: Trajectory
+    covariance: Array
+    share: float
+
+
 def find_motion(
-    packets: Sequence[Packet], imu: ImuBatch, rig: Rig, config: RunConfig, *, threads: int
+    packets: Sequence[Packet],
+    imu: ImuBatch,
+    rig: Rig,
+    config: RunConfig,
+    *,
+    moved: LidarMotion | None = None,
+    threads: int,
 ) -> tuple[MotionStart, MotionStart] | None:
     """Align the LiDAR's poses of the first scans with the IMU, in passes that de-skew better and better.
 
     The first pass takes rotation from the gyroscope, because a sensor that is shaken turns too fast for a constant
     rate, and a constant velocity; the others take the whole IMU, with the gravity, velocity and biases of the one
-    before.
+    before. Where everything looks alike along the way, a fast vehicle is followed only from about the right speed: the
+    first pass is made from rest and from the speed that the LiDAR alone saw, and that counts which matches more points.
+
+    Parameters
+    ----------
+    packets, imu, rig, config, threads
+        As for `find_start`.
+    moved : LidarMotion, optional
+        What `lidar_only` saw of the first of them.
 
     Returns
     -------
@@ -155,30 +179,32 @@ def find_motion(
     scans = scans_of(packets)
     if len(scans) < _FEWEST_POSES:
         return None
-    noise, begin_ns = configured_noise(config.imu), scans[0].stamp_ns
+    noise = configured_noise(config.imu)
 
-    def aligned(state: NavState, lead: ImuBatch) -> tuple[Trajectory, Array, MotionStart] | None:
-        poses, covariance = _loose_poses(scans, state, lead, config, threads)
-        if len(poses) < _FEWEST_POSES:
-            return None
-        found = align_motion(poses, covariance, imu, noise=noise, config=config.imu, begin_ns=begin_ns)
-        return poses, covariance, found
+    def follow(state: NavState, lead: ImuBatch) -> _Followed:
+        return _follow(scans, state, lead, config, threads)
 
-    result = aligned(*_led_by_gyro(scans[0], imu, rig))
+    def align(seen: _Followed, scale_sigma: float = 0.0) -> MotionStart:
+        return align_motion(
+            seen.poses,
+            seen.covariance,
+            imu,
+            noise=noise,
+            config=config.imu,
+            begin_ns=scans[0].stamp_ns,
+            scale_sigma=scale_sigma,
+        )
+
+    seen = max((follow(*led) for led in _led_by_gyro(scans[0], imu, rig, moved)), key=lambda seen: seen.share)
+    found: MotionStart | None = None
     for _ in range(_MOST_PASSES):
-        if result is None or result[2].verdict == "failed":
+        if len(seen.poses) < _FEWEST_POSES:
+            return None
+        before, found = found, align(seen)
+        if found.verdict == "failed" or (before is not None and _same_velocity(before, found)):
             break
-        before = result[2]
-        result = aligned(*_led_by_imu(scans[0], before, imu, rig))
-        if result is not None and _same_velocity(before, result[2]):
-            break
-    if result is None:
-        return None
-    poses, covariance, found = result
-    scaled = align_motion(
-        poses, covariance, imu, noise=noise, config=config.imu, begin_ns=begin_ns, scale_sigma=_SCALE_SIGMA
-    )
-    return found, scaled
+        seen = follow(*_led_by_imu(scans[0], found, imu, rig))
+    return (found, align(seen, _SCALE_SIGMA)) if found is not None and len(seen.poses) >= _FEWEST_POSES else None
 
 
 def _same_velocity(before: MotionStart, after: MotionStart) -> bool:
@@ -186,11 +212,15 @@ def _same_velocity(before: MotionStart, after: MotionStart) -> bool:
     return float(np.linalg.norm(changed)) < _SAME_SPEED
 
 
-def _led_by_gyro(first: Scan, imu: ImuBatch, rig: Rig) -> tuple[NavState, ImuBatch]:
-    """Return a state and samples for the real gyroscope beside an accelerometer that reads zero without gravity."""
-    state = blank_state(first.stamp_ns, replace(rig, known=True))
+def _led_by_gyro(
+    first: Scan, imu: ImuBatch, rig: Rig, moved: LidarMotion | None
+) -> Iterator[tuple[NavState, ImuBatch]]:
+    """Yield states and samples for the real gyroscope beside an accelerometer that reads zero without gravity."""
+    state, lead = blank_state(first.stamp_ns, replace(rig, known=True)), replace(imu, accel=np.zeros_like(imu.accel))
     set_block(state, 6, UNKNOWN_SPEED)
-    return state, replace(imu, accel=np.zeros_like(imu.accel))
+    yield state, lead
+    if moved is not None and moved.speed > _FAST:
+        yield replace(state, v_odom=moved.v_imu), lead
 
 
 def _led_by_imu(first: Scan, found: MotionStart, imu: ImuBatch, rig: Rig) -> tuple[NavState, ImuBatch]:
@@ -206,18 +236,17 @@ def _led_by_imu(first: Scan, found: MotionStart, imu: ImuBatch, rig: Rig) -> tup
     ), imu
 
 
-def _loose_poses(
-    scans: Sequence[Scan], state: NavState, imu: ImuBatch, config: RunConfig, threads: int
-) -> tuple[Trajectory, Array]:
-    """Return the poses of the scans that match, with covariances, of a filter that the samples only lead."""
+def _follow(scans: Sequence[Scan], state: NavState, imu: ImuBatch, config: RunConfig, threads: int) -> _Followed:
+    """Run a filter over the scans that the samples only lead."""
     noise = ImuNoise(gyro=_LOOSE_GYRO, accel=_LOOSE_ACCEL, gyro_walk=0.0, accel_walk=0.0)
     core = FilterCore(state, MotionModel(config.imu, config.filter, noise), config, threads=threads)
-    kept: list[ScanResult] = []
-    for scan in scans:
-        result = core.process(scan, imu)
-        if result.status in ("first", "tracked", "degenerate"):
-            kept.append(result)
-    T = np.stack([result.T_odom_imu for result in kept])
-    stamps = np.array([result.end_ns for result in kept], dtype=np.int64)
-    covariance = np.stack([result.covariance[:6, :6] for result in kept])
-    return Trajectory(stamps_ns=stamps, T_frame_body=T), covariance
+    results = [core.process(scan, imu) for scan in scans]
+    kept: list[ScanResult] = [result for result in results if result.status in ("first", "tracked", "degenerate")]
+    return _Followed(
+        poses=Trajectory(
+            stamps_ns=np.array([result.end_ns for result in kept], dtype=np.int64),
+            T_frame_body=np.stack([result.T_odom_imu for result in kept]),
+        ),
+        covariance=np.stack([result.covariance[:6, :6] for result in kept]),
+        share=float(np.mean([result.matches / max(result.queries, 1) for result in results[1:]])),
+    )

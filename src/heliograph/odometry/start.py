@@ -61,16 +61,19 @@ class FirstLook:
         None where too few scans could be matched.
     still : bool
         Whether IMU and LiDAR agree that nothing moves.
+    scans : int
+        With points.
     """
 
     rest: StaticStart | None
     moved: LidarMotion | None
     still: bool
+    scans: int
 
     @property
     def wants_more(self) -> bool:
         """Whether it moves, and LiDAR and IMU are both there to tell how."""
-        return self.rest is not None and not self.still and self.moved is not None
+        return self.rest is not None and not self.still and self.scans > 0
 
 
 def look(packets: Sequence[Packet], imu: ImuBatch, rig: Rig, config: RunConfig, *, threads: int) -> FirstLook:
@@ -79,12 +82,12 @@ def look(packets: Sequence[Packet], imu: ImuBatch, rig: Rig, config: RunConfig, 
     The IMU says whether it rests; because a vehicle at constant speed looks just like that, the LiDAR alone is run over
     the same scans and must agree. An IMU that only vibrates, on an idling engine, needs that consent.
     """
-    moved = lidar_only(packets, rig, config, threads)
+    moved, scans = lidar_only(packets, rig, config, threads), len(scans_of(packets))
     if len(imu) < 2:
-        return FirstLook(rest=None, moved=moved, still=False)
+        return FirstLook(rest=None, moved=moved, still=False, scans=scans)
     rest = assess_stillness(imu, config.imu)
     agreed = moved.speed < config.imu.still_speed if moved is not None else not rest.vibrating
-    return FirstLook(rest=rest, moved=moved, still=rest.still and agreed)
+    return FirstLook(rest=rest, moved=moved, still=rest.still and agreed, scans=scans)
 
 
 def find_start(
@@ -135,7 +138,7 @@ def _moving_start(
 ) -> tuple[NavState, StartAccount]:
     """Return the aligned state, or a wide one from the mean force where nothing could be aligned."""
     assert first.rest is not None
-    found = find_motion(packets, imu, rig, config, threads=threads) if len(scans_of(packets)) > 0 else None
+    found = find_motion(packets, imu, rig, config, moved=first.moved, threads=threads)
     if found is not None and found[0].verdict != "failed":
         return _aligned_state(found[0], rig, config), _moving_account(*found)
     state = _rough_state(_begin_of(packets, imu), imu, first.rest, first.moved, rig, config)

@@ -139,8 +139,10 @@ def test_constant_speed_looks_still_to_the_imu_but_not_to_the_lidar():
 def test_walking_start_finds_velocity_gravity_and_bias_within_its_sigmas():
     start, truth = start_in({"begin": 12.0, "duration": 1.3}, {})
     (event,) = start.events
-    assert event.code == "start-moving"
-    assert "rest" in event.message
+    assert (event.code, event.severity) == ("start-moving", "info")
+    assert "gyro spread" in event.message
+    assert start.account.verdict == "fair"
+    assert "accelerometer bias x, accelerometer bias y" in event.message
     state = start.state
     down = truth.R_world_body[0].T @ [0.0, 0.0, -1.0]
     found = state.R_odom_imu.T @ state.g_odom / GRAVITY
