@@ -86,11 +86,12 @@ def assess_stillness(imu: ImuBatch, config: ImuConfig) -> StaticStart:
     period = float(np.median(np.diff(imu.stamps_ns))) * 1e-9
     duration = float(imu.stamps_ns[-1] - imu.stamps_ns[0]) * 1e-9
     samples = np.hstack([imu.gyro, imu.accel])
-    mean, sigma, blocks = samples.mean(axis=0), samples.std(axis=0), _block_means(imu, samples, config.still_block)
+    sigma, blocks = samples.std(axis=0), _block_means(imu, samples, config.still_block)
     vibrating = _vibrates(sigma, blocks, config)
-    half = len(imu) // 2
-    drift = float(np.linalg.norm(imu.accel[:half].mean(axis=0) - imu.accel[half:].mean(axis=0)))
-    spread = _BLOCK_SHARE**-1 * blocks.std(axis=0) if vibrating else sigma
+    slow = blocks if vibrating else samples
+    mean, half = slow.mean(axis=0), len(slow) // 2
+    drift = float(np.linalg.norm(slow[:half, 3:].mean(axis=0) - slow[half:, 3:].mean(axis=0)))
+    spread = blocks.std(axis=0) / _BLOCK_SHARE if vibrating else sigma
     findings = [
         ("gyro spread", float(spread[:3].max()), config.still_gyro_sigma, "rad/s"),
         ("accelerometer spread", float(spread[3:].max()), config.still_accel_sigma, "m/s^2"),
