@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
 #include "bindings/bindings.hpp"
+#include "imu/motion_factor.hpp"
 #include "imu/preintegrate.hpp"
 #include "imu/propagate.hpp"
 
@@ -78,6 +79,35 @@ Tuple preintegrate_intervals(const Stamps& stamps, const Vectors& gyro, const Ve
                               to_numpy<double>(std::move(combined), {n, 15, 15})));
 }
 
+// Residuals, and with derivatives those by both poses, the bias and gravity.
+Tuple motion_residuals(const Array<const double, nb::shape<-1, 5, 5>>& X_i, const Array<const double, nb::shape<-1, 5, 5>>& X_j,
+                       const Array<const double, nb::shape<-1, 6>>& bias, const Vectors& gravity,
+                       const Array<const double, nb::shape<-1, static_cast<nb::ssize_t>(MotionRow::kSize)>>& motion,
+                       const Array<const double, nb::shape<-1, -1, static_cast<nb::ssize_t>(kSampleNumbers)>>& sampled,
+                       bool jacobians) {
+  const size_t n = motion.shape(0), samples = sampled.shape(1);
+  if (X_i.shape(0) != n || X_j.shape(0) != n || bias.shape(0) != n || gravity.shape(0) != n || sampled.shape(0) != n)
+    throw std::invalid_argument("one of everything a motion is needed");
+  const double* rows = motion.data();
+  for (size_t k = 0; k < n && samples > 0; ++k)
+    if (const double kept = rows[MotionRow::kSize * k + MotionRow::kCount]; !(kept >= 1.0 && kept <= static_cast<double>(samples)))
+      throw std::invalid_argument("a motion counts more samples than it has");
+  std::vector<double> r(9 * n), by_i, by_j, by_bias, by_gravity;
+  const MotionFactors factors{n, samples, X_i.data(), X_j.data(), bias.data(), gravity.data(), rows, sampled.data()};
+  unlocked([&] {
+    MotionJacobians out;
+    if (jacobians) {
+      by_i.resize(81 * n), by_j.resize(81 * n), by_bias.resize(54 * n), by_gravity.resize(27 * n);
+      out = {by_i.data(), by_j.data(), by_bias.data(), by_gravity.data()};
+    }
+    evaluate_motions(factors, r.data(), out);
+  });
+  auto residual = to_numpy<double>(std::move(r), {n, 9});
+  if (!jacobians) return Tuple(nb::make_tuple(residual));
+  return Tuple(nb::make_tuple(residual, to_numpy<double>(std::move(by_i), {n, 9, 9}), to_numpy<double>(std::move(by_j), {n, 9, 9}),
+                              to_numpy<double>(std::move(by_bias), {n, 9, 6}), to_numpy<double>(std::move(by_gravity), {n, 9, 3})));
+}
+
 }  // namespace
 
 void bind_imu(nb::module_& m) {
@@ -86,6 +116,8 @@ void bind_imu(nb::module_& m) {
         "t1_ns"_a, "R_odom_imu"_a.noconvert(), "vectors"_a.noconvert(), "g_basis"_a.noconvert(), "model"_a.noconvert());
   m.def("preintegrate", &preintegrate_intervals, "stamps_ns"_a.noconvert(), "gyro"_a.noconvert(), "accel"_a.noconvert(),
         "starts_ns"_a.noconvert(), "ends_ns"_a.noconvert(), "biases"_a.noconvert(), "model"_a.noconvert());
+  m.def("motion_residuals", &motion_residuals, "X_i"_a.noconvert(), "X_j"_a.noconvert(), "bias"_a.noconvert(),
+        "gravity"_a.noconvert(), "motion"_a.noconvert(), "sampled"_a.noconvert(), "jacobians"_a);
 }
 
 }  // namespace heliograph

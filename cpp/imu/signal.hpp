@@ -53,7 +53,7 @@ struct ImuStep {
 class ImuWalk {
  public:
   ImuWalk(const ImuSamples& samples, const ImuModel& model, int64_t t0_ns, int64_t t1_ns)
-      : samples_(samples), model_(model), end_(t1_ns), step_ns_(static_cast<int64_t>(model.max_step * 1e9)), from_(t0_ns), knot_(t0_ns) {
+      : samples_(samples), model_(model), end_(t1_ns), step_ns_(std::max<int64_t>(1, static_cast<int64_t>(model.max_step * 1e9))), from_(t0_ns), knot_(t0_ns) {
     const auto& s = samples.stamps_ns;
     next_ = static_cast<size_t>(std::upper_bound(s.begin(), s.end(), t0_ns) - s.begin());
   }

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState, Rig, Scan, ScanResult, Trajectory
 from heliograph.imu import MotionStart, align_motion
-from heliograph.imu.static_start import configured_noise
+from heliograph.imu.white_floor import noise_in_motion
 from heliograph.lie import so3
 from heliograph.odometry.filter import FilterCore
 from heliograph.odometry.motion import MotionModel
@@ -179,7 +179,7 @@ def find_motion(
     scans = scans_of(packets)
     if len(scans) < _FEWEST_POSES:
         return None
-    noise = configured_noise(config.imu)
+    noise = noise_in_motion(imu, config.imu)
 
     def follow(state: NavState, lead: ImuBatch) -> _Followed:
         return _follow(scans, state, lead, config, threads)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from heliograph.config import RunConfig
 from heliograph.data import Event, ImuBatch, NavState, Rig, StartAccount
 from heliograph.imu import MotionStart, StaticStart, assess_stillness
-from heliograph.imu.static_start import configured_noise
+from heliograph.imu.white_floor import noise_in_motion
 from heliograph.lie import s2, so3
 from heliograph.odometry.motion import MotionModel
 from heliograph.odometry.opening import (
@@ -126,7 +126,7 @@ def find_start(
         account = _static_account(first.rest, state)
         events: tuple[Event, ...] = ()
     else:
-        motion = MotionModel(config.imu, config.filter, configured_noise(config.imu))
+        motion = MotionModel(config.imu, config.filter, noise_in_motion(imu, config.imu))
         state, account = _moving_start(packets, imu, rig, config, first, threads)
         events = (_moving_event(begin_ns, first, account),)
     state = _rebased(state, motion, imu, packets[0].end_ns)
