@@ -140,8 +140,9 @@ def start_section(rows: _Rows, table: Any) -> str:  # noqa: ANN401
     head = ["start", "", "seeds", "ATE mm", "from rest mm", "ratio", "worst", "first second mm", "from rest mm"]
     text = "## Starts in motion\n\n" + table([*head, "untracked", "verdict"], body)
     return text + (
-        "\nSimulated: 64 x 512 rays (32 x 512 hand-held) at 10 Hz, IMU at 200 Hz; medians over the seeds. The same course "
-        "with the same sensors begun at rest is scored over the same stretch. First second: largest error of any of its "
-        f"poses, over all seeds. Untracked: scans without a match. Bar: {_BAR:g} times the error from rest on every seed. "
+        "\nSimulated: 64 x 512 rays (32 x 512 hand-held) at 10 Hz, IMU at 200 Hz; medians over the seeds. The same "
+        "course with the same sensors begun at rest is scored over the same stretch. First second: largest error of "
+        "any of its poses, over all seeds. Untracked: scans without a match. "
+        f"Bar: {_BAR:g} times the error from rest on every seed. "
         + (f"Missed by {', '.join(missed)}.\n" if missed else "Kept.\n")
     )

@@ -213,7 +213,7 @@ def _scale_event(begin_ns: int, account: StartAccount) -> tuple[Event, ...]:
     if not off > _SCALE_DOUBT + 4.0 * sigma:
         return ()
     text = (
-        f"the accelerometer shows {account.accel_scale:.3f} (+- {sigma:.3f}) of what the LiDAR saw of the motion and of "
+        f"the accelerometer shows {account.accel_scale:.3f} (+- {sigma:.3f}) times the motion that the LiDAR saw and "
         f"gravity: check its unit and calibration, or set input.accel_unit"
     )
     return (Event(code="accel-scale", message=text, stamp_ns=begin_ns),)
