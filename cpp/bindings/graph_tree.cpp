@@ -109,11 +109,14 @@ void bind_graph_tree(nb::module_& m) {
       .def("made", [](const BayesTree& t) { return numbers(std::vector<int32_t>(t.made())); })
       .def("save", &save)
       .def("load", &load, "state"_a)
-      .def("solve", [](BayesTree& t, double wildfire, double threshold) { unlocked([&] { t.solve(wildfire, threshold); }); },
-           "wildfire"_a, "threshold"_a)
+      .def("solve", [](BayesTree& t, double wildfire, double threshold, size_t most, size_t reach) {
+        unlocked([&] { t.solve(wildfire, threshold, most, reach); });
+      }, "wildfire"_a, "threshold"_a, "most"_a, "reach"_a)
+      .def("finish_steps", [](BayesTree& t) { unlocked([&] { t.finish_steps(); }); })
+      .def_prop_ro("deferred", &BayesTree::deferred)
       .def("counts", &counts)
       .def_prop_ro("work", [](const BayesTree& t) { return t.counts().work; })
-      .def("estimate", [](const BayesTree& t, const Indices& v) { return doubles(t.estimate(span_of(v))); }, "variables"_a.noconvert())
+      .def("estimate", [](BayesTree& t, const Indices& v) { return doubles(t.estimate(span_of(v))); }, "variables"_a.noconvert())
       .def("linearization_point", [](const BayesTree& t, const Indices& v) { return doubles(t.linearization_point(span_of(v))); },
            "variables"_a.noconvert())
       .def_prop_ro("pending", &BayesTree::pending)

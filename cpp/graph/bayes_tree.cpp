@@ -218,19 +218,6 @@ void BayesTree::set_custom(std::span<const int32_t> numbers, std::span<const dou
   }
 }
 
-std::vector<double> BayesTree::estimate(std::span<const int32_t> variables) const {
-  std::vector<double> out;
-  for (const int32_t variable : variables) {
-    const auto v = static_cast<size_t>(variable);
-    const int storage = storage_of(manifold_.at(v), dof_[v]);
-    const size_t at = out.size();
-    out.resize(at + static_cast<size_t>(storage));
-    const FamilyBlock block{manifold_[v], dof_[v], storage, 1, 0, 0, 0};
-    retract_block(block, theta_.data() + theta_at_[v], delta_.data() + delta_at_[v], out.data() + at);
-  }
-  return out;
-}
-
 std::vector<double> BayesTree::linearization_point(std::span<const int32_t> variables) const {
   std::vector<double> out;
   for (const int32_t variable : variables) {

@@ -32,6 +32,8 @@ struct Clique {
   int32_t update_height = 0;
   uint32_t flagged = 0;      // number of the update that takes it down
   uint8_t unsolved = 0;      // made since the last solve
+  uint8_t deferred = 0;      // its step and all below it were put off
+  uint32_t solved = 0;       // number of the solve that computed its step
   std::vector<int32_t> nodes;  // variables: pivots, then rows, in the order of elimination
   double* factor = nullptr;
   double* update = nullptr;
@@ -92,8 +94,10 @@ class BayesTree {
   int32_t eliminate(size_t most);
   // Undoes everything since the last update ended: the tree is as it was then, to the bit.
   void undo() { roll_back(); }
-  // Steps from the root down, as far as they change by more than the threshold.
-  void solve(double wildfire, double relinearize_threshold);
+  // Steps from the root down, as far as they change by more than `wildfire`; beyond about `most` variables they are put off.
+  // What was put off before goes on where this solve itself came to `reach` variables.
+  void solve(double wildfire, double relinearize_threshold, size_t most, size_t reach);
+  void finish_steps();  // all that was put off
 
   // --- what leaves ---
   // Marks variables: the next elimination takes them first, then `drop_left` forgets them. Not while the tree is open.
@@ -109,9 +113,10 @@ class BayesTree {
   bool held(int32_t variable) const { return held_.at(static_cast<size_t>(variable)) != 0; }
   size_t cliques() const { return cliques_.size() - free_cliques_.size(); }
   size_t factors() const { return factors_.size() - free_factors_.size(); }
-  std::vector<double> estimate(std::span<const int32_t> variables) const;  // packed, one after another
+  std::vector<double> estimate(std::span<const int32_t> variables);  // packed, one after another; never an old step
   std::vector<double> linearization_point(std::span<const int32_t> variables) const;
   size_t fluid() const { return fluid_.size(); }
+  size_t deferred() const { return deferred_.size(); }
   bool pending() const { return !fluid_.empty(); }  // steps longer than the last threshold
   bool idle() const { return touched_.empty() && relinearized_.empty() && fresh_.empty(); }
   std::span<const double> theta() const { return theta_; }
@@ -181,8 +186,13 @@ class BayesTree {
   double longest_element(int32_t variable) const;
   int32_t new_clique();
   void release(int32_t clique);
-  void solve_clique(int32_t clique, double wildfire, double threshold);
+  template <typename StepOf>
+  void compute_step(const Clique& clique, StepOf&& step_of, std::vector<double>& rows, std::vector<double>& step) const;
+  void solve_clique(int32_t clique);
   bool rows_changed(const Clique& clique) const;
+  void carry_down(std::vector<int32_t>& stack, size_t most);
+  void catch_up(size_t most);
+  std::vector<double> step_of(int32_t variable) const;
   template <typename Archive>
   void archive(Archive& with);
   void check_loaded() const;
@@ -242,6 +252,8 @@ class BayesTree {
   std::vector<int32_t> undo_;           // variables whose linearisation point was put back while the tree was open
   std::vector<int32_t> leaving_;
   std::vector<int32_t> made_, attached_;  // cliques of the last update, and those hung below them
+  std::vector<int32_t> deferred_;         // topmost cliques whose steps were put off, the oldest first
+  double wildfire_ = 0.0, fluid_threshold_ = 0.0;  // of the last solve
   std::vector<double> rows_, step_;
   TreeCounts counts_;
 };

@@ -11,7 +11,7 @@ namespace heliograph {
 
 namespace {
 
-constexpr uint64_t kMark = 0x3145455254594248;  // "HBYTREE1"
+constexpr uint64_t kMark = 0x3245455254594248;  // "HBYTREE2"
 
 uint64_t checksum(std::span<const uint8_t> bytes) {  // FNV-1a, eight bytes at a time
   uint64_t hash = 0xcbf29ce484222325;
@@ -122,7 +122,7 @@ void saved_variables(Archive& with, std::vector<Saved>& all) {
 template <typename Archive>
 void whole_clique(Archive& with, BlockPool& pool, Clique& clique) {
   plain(with, clique.parent, clique.child, clique.next, clique.previous, clique.pivot_nodes, clique.first_factor, clique.pivots,
-        clique.rows, clique.height, clique.update_height, clique.flagged, clique.unsolved);
+        clique.rows, clique.height, clique.update_height, clique.flagged, clique.unsolved, clique.deferred, clique.solved);
   arrays(with, clique.nodes);
   if (clique.nodes.empty()) return;  // not in use
   block(with, pool, clique.factor, static_cast<size_t>(clique.height) * static_cast<size_t>(clique.pivots));
@@ -137,11 +137,11 @@ void BayesTree::archive(Archive& with) {
   plain(with, mark);
   if (mark != kMark) damaged();
   arrays(with, manifold_, dof_, theta_at_, delta_at_, clique_of_, theta_, delta_, changed_, fluid_flag_, held_, frozen_, fluid_);
-  arrays(with, free_factors_, free_cliques_, roots_, made_, attached_);
+  arrays(with, free_factors_, free_cliques_, roots_, made_, attached_, deferred_);
   arrays(with, affected_, orphans_, open_factors_, undo_, kept_order_);
   for (std::vector<int32_t>& free : free_variables_) arrays(with, free);
   saved_variables(with, job_saved_);
-  plain(with, update_number_, solve_number_, counts_, open_, free_count_, eliminated_);
+  plain(with, update_number_, solve_number_, counts_, open_, free_count_, eliminated_, wildfire_, fluid_threshold_);
   kinds_.resize(with.count(kinds_.size()));
   free_rows_.resize(kinds_.size());
   for (size_t k = 0; k < kinds_.size(); ++k) {
@@ -192,7 +192,8 @@ void BayesTree::check_loaded() const {
   for (const std::vector<int32_t>* list : {&affected_, &undo_, &kept_order_})
     for (const int32_t v : *list) inside(v, n);
   for (const Saved& saved : job_saved_) inside(saved.variable, n);
-  for (const int32_t c : orphans_) inside(c, cliques_.size());
+  for (const std::vector<int32_t>* list : {&orphans_, &deferred_})
+    for (const int32_t c : *list) inside(c, cliques_.size());
   for (const int32_t f : open_factors_) inside(f, factors_.size());
   for (const Clique& clique : cliques_) {
     for (const int32_t link : {clique.parent, clique.child, clique.next, clique.previous}) inside(link, cliques_.size());

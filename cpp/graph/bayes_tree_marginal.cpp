@@ -69,6 +69,7 @@ std::vector<int32_t> BayesTree::drop_left() {
   std::vector<int32_t> tops, dropped;
   for (const int32_t c : made_) {
     cliques_[static_cast<size_t>(c)].unsolved = 0;  // steps are as they were
+    cliques_[static_cast<size_t>(c)].solved = solve_number_;
     const int32_t parent = cliques_[static_cast<size_t>(c)].parent;
     if (leaves(c) && (parent < 0 || !leaves(parent))) tops.push_back(c);
   }

@@ -328,21 +328,48 @@ int eliminate(const PlanView& plan, int32_t index, const Assembly& in, double* f
   return -1;
 }
 
-// x of the pivots from y and x of the remaining rows: L11' x = -(y + L21' rows). y is the carried gradient unless given.
-void back_substitute(const FrontView& front, const double* f, const double* y, const double* rows, double* x) {
-  const int64_t ld = front.height;
-  const int K = front.pivots, M = front.rows;
-  for (int c = K - 1; c >= 0; --c) {
+// sum[w] = the product of column w with `rows`, each over `count` entries; the columns lie ld apart and share the loads of `rows`.
+template <int W>
+inline void column_products(const double* f, int64_t ld, const double* rows, int count, double* sum) {
+  Lane parts[W];
+  for (int w = 0; w < W; ++w) parts[w] = Lane{};
+  int r = 0;
+  for (; r + kLanes <= count; r += kLanes) {
+    const Lane x = load(rows + r);
+    for (int w = 0; w < W; ++w) parts[w] += load(f + w * ld + r) * x;
+  }
+  for (int w = 0; w < W; ++w) {
+    sum[w] = 0.0;
+    for (int v = 0; v < kLanes; ++v) sum[w] += parts[w][v];
+    for (int q = r; q < count; ++q) sum[w] += f[w * ld + q] * rows[q];
+  }
+}
+
+// The x of W pivots, those after them being known: x holds them, so that one product runs over pivots and another over rows.
+template <int W>
+inline void back_columns(const double* f, int64_t ld, int pivots, int count, const double* y, const double* rows, double* x) {
+  double below[W], after[W];
+  column_products<W>(f + pivots, ld, rows, count, below);
+  column_products<W>(f + W, ld, x + W, pivots - W, after);
+  for (int c = W - 1; c >= 0; --c) {
     const double* column = f + c * ld;
-    double sum = y != nullptr ? y[c] : column[K + M];
-    Lane parts = Lane{};
-    int r = 0;
-    for (; r + kLanes <= M; r += kLanes) parts += load(column + K + r) * load(rows + r);
-    for (int v = 0; v < kLanes; ++v) sum += parts[v];
-    for (; r < M; ++r) sum += column[K + r] * rows[r];
-    for (int p = c + 1; p < K; ++p) sum += column[p] * x[p];
+    double sum = (y != nullptr ? y[c] : column[pivots + count]) + below[c] + after[c];
+    for (int p = c + 1; p < W; ++p) sum += column[p] * x[p];
     x[c] = -sum / column[c];
   }
+}
+
+// x of the pivots from y and x of the remaining rows: L11' x = -(y + L21' rows). y is the carried gradient unless given.
+void back_substitute(const FrontView& front, const double* f, const double* y, const double* rows, double* x) {
+  constexpr int kWide = 4;
+  const int64_t ld = front.height;
+  int c = front.pivots;
+  for (; c >= kWide; c -= kWide) {
+    const int at = c - kWide;
+    back_columns<kWide>(f + at * ld + at, ld, front.pivots - at, front.rows, y != nullptr ? y + at : nullptr, rows, x + at);
+  }
+  while (c-- > 0)
+    back_columns<1>(f + c * ld + c, ld, front.pivots - c, front.rows, y != nullptr ? y + c : nullptr, rows, x + c);
 }
 
 // y of the pivots and what they take from the rows after them: L11 y = b, b_rows -= L21 y, in place.

@@ -3,8 +3,9 @@
 #pragma once
 #include <Eigen/Dense>
 #include <cstdint>
-#include <span>
 #include <vector>
+
+#include "imu/signal.hpp"
 
 namespace heliograph {
 
@@ -19,26 +20,6 @@ struct NavState {
   Eigen::Vector3d accel_bias;
   Eigen::Vector3d g_odom;
   Eigen::Matrix<double, 3, 2> g_basis;  // d g_odom / d (tangent of S(2))
-};
-
-struct ImuSamples {
-  std::span<const int64_t> stamps_ns;
-  const double* gyro;   // (M, 3)
-  const double* accel;  // (M, 3)
-};
-
-// Densities squared: white noise and random walks, and what is added where samples are held or bridged over a gap.
-struct ImuModel {
-  double gyro_var;
-  double accel_var;
-  double gyro_walk_var;
-  double accel_walk_var;
-  double held_gyro_var;
-  double held_accel_var;
-  double curvature;     // share of the change between two samples that linear interpolation is taken to miss
-  double max_step;      // [s]
-  int64_t max_gap_ns;   // a longer distance between samples counts as held
-  int64_t hold_ns;      // farther than this from any sample nothing is held: the body coasts
 };
 
 struct Propagation {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
 // A Bayes tree that grows, shrinks, refuses, is saved and loaded, against one dense matrix; the factors are linear.
+#include <limits>
 #include <Eigen/Dense>
 #include <algorithm>
 #include <map>
@@ -62,7 +63,7 @@ class Pair {
     tree.detach();
     tree.reorder();
     const int32_t failed = tree.eliminate(kAll);
-    if (failed < 0) tree.solve(0.0, 0.0);
+    if (failed < 0) tree.solve(0.0, 0.0, std::numeric_limits<size_t>::max(), 0);
     return failed;
   }
 

@@ -5,6 +5,7 @@ Each raises `AssertionError` with the case that breaks the law. Nothing here nee
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
@@ -169,6 +170,8 @@ def assert_factor(
 ) -> None:
     """Assert the shapes of a user's factor, that instances do not mix, and its Jacobians at large errors.
 
+    Where a variable may be of several families, for each of them.
+
     Parameters
     ----------
     factor : type
@@ -183,28 +186,41 @@ def assert_factor(
     tolerance : float
         Of Jacobians, relative to their largest number or to 1; identities must hold to a thousandth of it.
     """
+    for families in itertools.product(*factor.families):
+        _assert_factor_of(factor, families, rng, data, unchanged_by, tolerance)
+
+
+def _assert_factor_of(
+    factor: type[Factor],
+    families: Sequence[Family],
+    rng: np.random.Generator,
+    data: Callable[[np.random.Generator, int], Sequence[Array]] | None,
+    unchanged_by: Callable[[np.random.Generator, Sequence[Array]], Sequence[Array]] | None,
+    tolerance: float,
+) -> None:
+    """Assert the law of factors for variables of these families."""
     count, name = 9, factor.__name__
-    arrays = [_elements(family, rng, count) for family in factor.families]
+    arrays = [_elements(family, rng, count) for family in families]
     items = [np.asarray(item, dtype=np.float64) for item in (data(rng, count) if data is not None else ())]
-    residual, jacobians = _evaluated(factor, arrays, items)
+    residual, jacobians = _evaluated(factor, families, arrays, items)
     scale = max(1.0, float(np.abs(residual).max()))
     for row in range(count):
         one = slice(row, row + 1)
-        alone, alone_jacobians = _evaluated(factor, [a[one] for a in arrays], [item[one] for item in items])
+        alone, alone_jacobians = _evaluated(factor, families, [a[one] for a in arrays], [item[one] for item in items])
         law = f"{name}: instance {row} alone is not what it is in the batch,"
         bound = 1e-3 * tolerance * scale
         np.testing.assert_allclose(alone, residual[one], rtol=0, atol=bound, err_msg=f"{law} residual")
         for k, (found, expected) in enumerate(zip(alone_jacobians, jacobians, strict=True)):
             bound = 1e-3 * tolerance * max(1.0, float(np.abs(expected).max()))
             np.testing.assert_allclose(found, expected[one], rtol=0, atol=bound, err_msg=f"{law} Jacobian {k}")
-        for k, (family, J) in enumerate(zip(factor.families, jacobians, strict=True)):
+        for k, (family, J) in enumerate(zip(families, jacobians, strict=True)):
             moved = _residual_of_step(factor, family, arrays, items, row, k)
             slope = numeric_jacobian(moved, np.zeros(family.dof))
             bound = tolerance * max(1.0, float(np.abs(slope).max()))
             case = f"{name}: the Jacobian of instance {row} by variable {k} ({family.name})"
             np.testing.assert_allclose(J[row], slope, rtol=0, atol=bound, err_msg=case)
     if unchanged_by is not None:
-        elsewhere, _ = _evaluated(factor, unchanged_by(rng, arrays), items)
+        elsewhere, _ = _evaluated(factor, families, unchanged_by(rng, arrays), items)
         law = f"{name}: the residual changes with what it should not depend on"
         np.testing.assert_allclose(elsewhere, residual, rtol=0, atol=tolerance * scale, err_msg=law)
 
@@ -313,9 +329,11 @@ def _elements(family: Family, rng: np.random.Generator, count: int) -> Array:
     return np.stack([group.exp(3.0 * _tangent(group, rng, rng.uniform(0.1, 1.0))).matrix for _ in range(count)])
 
 
-def _evaluated(factor: type[Factor], arrays: Sequence[Array], data: Sequence[Array]) -> tuple[Array, list[Array]]:
+def _evaluated(
+    factor: type[Factor], families: Sequence[Family], arrays: Sequence[Array], data: Sequence[Array]
+) -> tuple[Array, list[Array]]:
     try:
-        return factor.evaluate(arrays, data)
+        return factor.evaluate(arrays, data, families=families)
     except GraphError as error:
         raise AssertionError(str(error)) from error
 

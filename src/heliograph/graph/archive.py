@@ -185,7 +185,7 @@ def _own_class(entry: Mapping[str, Any], own: Mapping[str, type[Factor]], path: 
             f"load_graph(path, factors=[{name}])"
         )
     cls = own[name]
-    families = [[name_of(family)] for family in cls.families]
+    families = [[name_of(family) for family in allowed] for allowed in cls.families]
     if cls.rows != entry["rows"] or families != entry["allowed"]:
         raise GraphError(
             f"{path}: {name} was saved with {entry['rows']} rows for {entry['allowed']}, the class given has "

@@ -49,7 +49,8 @@ class Factor(FactorRecord):
     Attributes
     ----------
     variables : tuple
-        Of each variable the lie class, such as ``SE3``, or the dimension of a vector.
+        Of each variable the lie class, such as ``SE3``, or the dimension of a vector; or a tuple of those, where it may
+        be of any of them. The arrays' shapes then tell which it is.
     rows : int
         Of the residual.
 
@@ -81,7 +82,7 @@ class Factor(FactorRecord):
 
     type: ClassVar[int] = 0
     variables: ClassVar[tuple[Any, ...]] = ()
-    families: ClassVar[tuple[Family, ...]] = ()
+    families: ClassVar[tuple[tuple[Family, ...], ...]] = ()  # of each variable, those that it may be of
     has_jacobians: ClassVar[bool] = False
 
     data: tuple[Array, ...]
@@ -98,7 +99,10 @@ class Factor(FactorRecord):
                 "such as (SE3, SE3) or (SE2, 2)"
             )
         try:
-            cls.families = tuple(family_named(variable) for variable in cls.variables)
+            cls.families = tuple(
+                tuple(family_named(one) for one in (variable if isinstance(variable, tuple) else (variable,)))
+                for variable in cls.variables
+            )
         except GraphError as error:
             raise GraphError(f"class {name}: {error}") from None
         rows = getattr(cls, "rows", None)
@@ -136,7 +140,7 @@ class Factor(FactorRecord):
             measured=None,
             noise=noise,
             kernel=kernel,
-            allowed=tuple((family,) for family in cls.families),
+            allowed=cls.families,
         )
         if not isinstance(data, (tuple, list)):
             raise GraphError(f"{cls.__name__}: data is a tuple with one item an argument, not a {type(data).__name__}")
@@ -158,7 +162,12 @@ class Factor(FactorRecord):
 
     @classmethod
     def evaluate(
-        cls, arrays: Sequence[Array], data: Sequence[Array], *, name: Namer = _instance
+        cls,
+        arrays: Sequence[Array],
+        data: Sequence[Array],
+        *,
+        families: Sequence[Family] | None = None,
+        name: Namer = _instance,
     ) -> tuple[Array, list[Array]]:
         """Return residuals and Jacobians of N instances.
 
@@ -168,6 +177,8 @@ class Factor(FactorRecord):
             One a variable: matrices, directions or vectors.
         data : sequence of (N, ...) float64
             As given to the constructor.
+        families : sequence of Family, optional
+            Of each variable; by default the first that it may be of.
         name : callable
             Gives what messages call the instance of an index.
 
@@ -183,9 +194,10 @@ class Factor(FactorRecord):
             What the class returns has another shape or is not finite.
         """
         keep_memory()
+        families = families or [allowed[0] for allowed in cls.families]
         if not cls.has_jacobians:
-            variables = len(cls.families)
-            copies, done = 1 + 2 * sum(family.dof for family in cls.families), 0
+            variables = len(families)
+            copies, done = 1 + 2 * sum(family.dof for family in families), 0
 
             def stacked_residual(*stacks: Array) -> Array:
                 nonlocal done
@@ -193,16 +205,16 @@ class Factor(FactorRecord):
                 done += count
                 return cls._residuals(stacks[:variables], stacks[variables:], lambda row: name(first + row % count))
 
-            return central_differences(stacked_residual, cls.families, arrays, data)
+            return central_differences(stacked_residual, families, arrays, data)
         residual = cls.residuals(arrays, data, name=name)
         found = cls.jacobians(*arrays, *data)
-        if not isinstance(found, (tuple, list)) or len(found) != len(cls.families):
+        if not isinstance(found, (tuple, list)) or len(found) != len(families):
             given = f"{len(found)} of them" if isinstance(found, (tuple, list)) else f"a {type(found).__name__}"
-            raise GraphError(f"{cls.__name__}.jacobians returns one array a variable, {len(cls.families)}, got {given}")
+            raise GraphError(f"{cls.__name__}.jacobians returns one array a variable, {len(families)}, got {given}")
         count = len(arrays[0])
         checked = [
             _checked(f"{cls.__name__}.jacobians, variable {k}", array, (count, cls.rows, family.dof), name)
-            for k, (array, family) in enumerate(zip(found, cls.families, strict=True))
+            for k, (array, family) in enumerate(zip(found, families, strict=True))
         ]
         return residual, checked
 

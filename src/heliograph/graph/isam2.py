@@ -26,7 +26,9 @@ __all__ = ["ISAM2", "ISAM2Settings", "UpdateResult"]
 Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 _UNBOUNDED = 1 << 40
-_LIGHT = 2e6  # multiplications of an elimination that is worth repeating within the same update
+# What is worth repeating within the same update: multiplications of its elimination, variables whose step it computed.
+_LIGHT, _FEW = 2e6, 5000
+_REACH = 100  # variables whose step an update computed that goes on with what was put off
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +43,11 @@ class ISAM2Settings:
         Only in every so-manieth update.
     wildfire : float
         Steps that change by no more than this are not carried on to what lies below [rad, m].
+    most_steps : int
+        Steps of so many variables are computed in one update; beyond, whole branches of the tree are put off to later
+        updates, or until they are read: what is read is never old. A loop over a drive of a million poses moves all of
+        them, and is no reason to wait. All are computed where a threshold is zero, where convergence is asked for, and
+        in an update without factors.
 
     Raises
     ------
@@ -51,10 +58,11 @@ class ISAM2Settings:
     relinearize_threshold: float = 0.1
     relinearize_skip: int = 1
     wildfire: float = 1e-3
+    most_steps: int = 10_000
 
     def __post_init__(self) -> None:
         check_range(self, "relinearize_threshold", "wildfire", low=0.0)
-        check_range(self, "relinearize_skip", low=1)
+        check_range(self, "relinearize_skip", "most_steps", low=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,9 +87,12 @@ class UpdateResult:
         Passes: one; two where variables moved beyond the threshold and the first was cheap; more only where convergence
         was asked for.
     converged : bool
-        Nothing is pending, and no step is longer than the threshold that was asked for.
+        Nothing is pending or deferred, and no step is longer than the threshold that was asked for.
     pending : int
-        Variables that wait for a later update, where its work was bounded: to be eliminated, or to be linearised anew.
+        What waits for a later update, where its work was bounded: variables to be eliminated, else variables to be
+        linearised anew, else `deferred`.
+    deferred : int
+        Branches of the tree whose steps were put off, see `ISAM2Settings.most_steps`.
     cost_before, cost_after : float or None
         Of all factors, where asked for: before, at the old estimate and the new variables' start.
     seconds : dict
@@ -97,6 +108,7 @@ class UpdateResult:
     iterations: int
     converged: bool
     pending: int = 0
+    deferred: int = 0
     cost_before: float | None = None
     cost_after: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
@@ -178,13 +190,15 @@ class ISAM2:
         clock.lap("add")
         due = (self._updates + 1) % self.settings.relinearize_skip == 0
         threshold = self.settings.relinearize_threshold if due else np.inf
-        work = self._pass(threshold, self.settings.wildfire, graph, values, clock, most)
-        passes, converged = 1, not tree.pending and not tree.waiting
-        if iterate is None and due and threshold > 0.0 and most == _UNBOUNDED and tree.pending and tree.work <= _LIGHT:
+        empty = graph is None and values is None
+        whole = iterate is not None or (empty and most == _UNBOUNDED)
+        work = self._pass(threshold, self.settings.wildfire, graph, values, clock, most, whole)
+        passes, converged = 1, not (tree.pending or tree.waiting or tree.deferred)
+        if iterate is None and due and threshold > 0.0 and most == _UNBOUNDED and tree.pending and self._light():
             # A loop has moved variables far: where that is cheap, a second pass leaves nothing for the next update.
             # With a threshold of zero something is always pending, and an update is one step of Gauss-Newton.
             work = _sum(work, self._pass(threshold, self.settings.wildfire, None, None, clock, most))
-            passes, converged = 2, not tree.pending
+            passes, converged = 2, not (tree.pending or tree.deferred)
         while iterate is not None and not (converged := tree.largest_step() <= iterate):
             if passes >= most_iterations:
                 break
@@ -202,6 +216,7 @@ class ISAM2:
             iterations=passes,
             converged=converged,
             pending=self._state.pending(),
+            deferred=tree.deferred,
             cost_before=before,
             cost_after=self._state.cost() if costs else None,
             seconds=clock.seconds,
@@ -215,6 +230,7 @@ class ISAM2:
         values: Values | None,
         clock: _Clock,
         most: int,
+        whole: bool = False,
     ) -> list[int]:
         """Do steps 2 to 7 once; return the counts of what was done."""
         tree = self._state.native
@@ -232,14 +248,31 @@ class ISAM2:
             raise UnderconstrainedError(self._state.refused(failed, graph, values))
         self._state.settle()
         if not tree.waiting:
-            tree.solve(wildfire, self.settings.relinearize_threshold)  # 7. wildfire
+            self._carry_down(wildfire, most, whole)  # 7. wildfire
         clock.lap("solve")
         return [marked, *tree.counts()]
 
+    def _carry_down(self, wildfire: float, most: int, whole: bool) -> None:
+        """Compute steps: so many as the settings and the caller allow, or all where an exact step is asked for."""
+        settings = self.settings
+        if whole or wildfire == 0.0 or settings.relinearize_threshold == 0.0:
+            self._state.native.solve(wildfire, settings.relinearize_threshold, _UNBOUNDED, 0)
+            return
+        # What was put off goes on in updates that are long anyway, not in those that add one pose; in all, where the
+        # caller bounds them.
+        reach = _REACH if most == _UNBOUNDED else 0
+        self._state.native.solve(wildfire, settings.relinearize_threshold, min(settings.most_steps, most), reach)
+
+    def _light(self) -> bool:
+        """Return whether the last pass was so cheap that another one within the same update is worth it."""
+        tree = self._state.native
+        return tree.work <= _LIGHT and tree.counts()[4] <= _FEW and not tree.deferred
+
     def finish(self) -> None:
-        """Do all that bounded updates left to be eliminated."""
+        """Do all that bounded updates left to be eliminated, and compute the steps that were put off."""
         if self._state.native.waiting:
             self._pass(np.inf, self.settings.wildfire, None, None, _Clock(), _UNBOUNDED)
+        self._state.native.finish_steps()
 
     def marginalize(self, keys: ArrayLike) -> None:
         """Take variables out for good; what their factors said stays, as a linear summary on their neighbours.

@@ -180,7 +180,9 @@ class Problem:
                 return self.graph.name(int(numbers[row]))
 
             if with_jacobians:
-                residual, jacobians = factor.evaluate(arrays, custom.group.data, name=name)
+                residual, jacobians = factor.evaluate(
+                    arrays, custom.group.data, families=custom.group.families, name=name
+                )
             else:
                 residual, jacobians = factor.residuals(arrays, custom.group.data, name=name, finite=finite), []
             contiguous = [np.ascontiguousarray(J) for J in jacobians]

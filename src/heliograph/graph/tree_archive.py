@@ -6,6 +6,7 @@ import json
 import zipfile
 from collections.abc import Iterable, Mapping
 from itertools import groupby
+from operator import contains
 from pathlib import Path
 from typing import Any
 
@@ -110,10 +111,12 @@ def _own_class(name: str, rows: int, families: tuple[Any, ...], classes: Mapping
     cls = classes.get(name)
     if cls is None:
         raise GraphError(f"the state holds factors of {name}, which is not built in; give its class: factors=[{name}]")
-    if cls.rows != rows or cls.families != families:
+    fits = len(cls.families) == len(families) and all(map(contains, cls.families, families))
+    if cls.rows != rows or not fits:
+        wanted = [" or ".join(family.name for family in allowed) for allowed in cls.families]
         raise GraphError(
             f"{name} was saved with {rows} rows for {[family.name for family in families]}, the class given has "
-            f"{cls.rows} rows for {[family.name for family in cls.families]}; give the class that was used"
+            f"{cls.rows} rows for {wanted}; give the class that was used"
         )
     return cls
 

@@ -163,8 +163,8 @@ class TreeState:
             self._left.add(key)
 
     def pending(self) -> int:
-        """Return how many variables wait to be eliminated, or else to be linearised anew."""
-        return int(self.native.waiting or self.native.fluid)
+        """Return how many variables wait to be eliminated, else linearised anew, else branches put off."""
+        return int(self.native.waiting or self.native.fluid or self.native.deferred)
 
     def _nothing_waiting(self) -> None:
         if self.native.waiting:
@@ -314,12 +314,13 @@ class TreeState:
 
     def _evaluate(self, own: Own, numbers: Ints, point: Point) -> None:
         arrays, data = self._arrays(own, numbers, point)
-        residual, jacobians = own.factor.evaluate(arrays, data)
+        residual, jacobians = own.factor.evaluate(arrays, data, families=own.families)
         flat = [np.ascontiguousarray(J).reshape(-1) for J in jacobians]
         self.native.set_custom(numbers, np.ascontiguousarray(residual).reshape(-1), flat)
 
     def cost(self) -> float:
         """Return the cost of all factors at the estimate."""
+        self.native.finish_steps()
         for own in self._own.values():
             numbers = np.array(sorted(own.scopes), dtype=np.int32)
             if numbers.size:

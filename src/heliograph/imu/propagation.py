@@ -13,7 +13,7 @@ from heliograph.data import ImuBatch, ImuNoise, NavState
 from heliograph.errors import DataError
 from heliograph.lie import s2
 
-__all__ = ["NAV_DIM", "ImuPath", "propagate"]
+__all__ = ["NAV_DIM", "ImuPath", "model_numbers", "propagate"]
 
 NAV_DIM = 17
 """Errors that inertial propagation moves; mounting errors, if estimated, follow and stay."""
@@ -77,7 +77,7 @@ def propagate(
     magnitude = float(np.linalg.norm(state.g_odom))
     g_basis = magnitude * s2.basis(state.g_odom / magnitude) if magnitude > 0.0 else np.zeros((3, 2))
     vectors = np.stack([state.p_odom, state.v_odom, state.gyro_bias, state.accel_bias, state.g_odom])
-    model = _model(noise, config)
+    model = model_numbers(noise, config)
     stamps, R, p, v, transition, added, held_s = _core.propagate(
         imu.stamps_ns,
         imu.gyro,
@@ -101,7 +101,7 @@ def propagate(
     return moved, ImuPath(stamps_ns=stamps, R_odom_imu=R, p_odom=p, v_odom=v, held_s=held_s)
 
 
-def _model(noise: ImuNoise, config: ImuConfig) -> NDArray[np.float64]:
+def model_numbers(noise: ImuNoise, config: ImuConfig) -> NDArray[np.float64]:
     """Return the native model's numbers in their order: variances, then limits."""
     return np.array(
         [

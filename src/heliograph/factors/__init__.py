@@ -1,0 +1,36 @@
+"""Sensor factors: what an inertial unit and a satellite receiver measure, as factors of the graph."""
+
+from heliograph.factors.gravity import GravityDirection, GravityVector
+from heliograph.factors.inertial import (
+    CombinedImu,
+    CombinedImuOnDirection,
+    CombinedImuOnGravity,
+    PreintegratedImu,
+    PreintegratedImuOnDirection,
+    PreintegratedImuOnGravity,
+)
+from heliograph.factors.positions import LeverArmPosition, LeverArmPositionOnArm, Velocity
+from heliograph.graph import Factor
+
+__all__ = [
+    "SENSOR_FACTORS",
+    "CombinedImu",
+    "GravityDirection",
+    "GravityVector",
+    "LeverArmPosition",
+    "PreintegratedImu",
+    "Velocity",
+]
+
+SENSOR_FACTORS: tuple[type[Factor], ...] = (
+    CombinedImu,
+    CombinedImuOnDirection,
+    CombinedImuOnGravity,
+    LeverArmPosition,
+    LeverArmPositionOnArm,
+    PreintegratedImu,
+    PreintegratedImuOnDirection,
+    PreintegratedImuOnGravity,
+    Velocity,
+)
+"""All classes of this room: what `load_graph` and `ISAM2.load` need to read files that hold such factors."""

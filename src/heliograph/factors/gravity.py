@@ -1,0 +1,65 @@
+"""What a factor is told of gravity: a known vector, or the key of a variable that holds its direction or all of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from heliograph.config import ImuConfig
+from heliograph.errors import GraphError
+
+__all__ = ["STANDARD_GRAVITY", "Gravity", "GravityDirection", "GravityVector", "known_gravity"]
+
+STANDARD_GRAVITY = ImuConfig().gravity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GravityDirection:
+    """The direction of gravity is estimated, its magnitude is known.
+
+    Parameters
+    ----------
+    key : int
+        Of an `S2` variable: the direction in which things fall, in the world frame.
+    magnitude : float
+        [m/s^2].
+    """
+
+    key: int
+    magnitude: float = STANDARD_GRAVITY
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GravityVector:
+    """Gravity is estimated, magnitude and all.
+
+    Parameters
+    ----------
+    key : int
+        Of a vector variable of dimension 3: gravity in the world frame [m/s^2].
+    """
+
+    key: int
+
+
+Gravity: TypeAlias = GravityDirection | GravityVector | ArrayLike
+
+
+def known_gravity(g_world: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Return known gravity as (count, 3).
+
+    Raises
+    ------
+    GraphError
+        It is no vector of three finite numbers.
+    """
+    g = np.asarray(g_world, dtype=np.float64)
+    if g.shape != (3,) or not np.isfinite(g).all():
+        raise GraphError(
+            "gravity is a vector (3,) [m/s^2], GravityDirection(key=...) or GravityVector(key=...), "
+            f"got shape {g.shape}"
+        )
+    return np.broadcast_to(g, (count, 3))
