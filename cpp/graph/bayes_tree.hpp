@@ -78,7 +78,8 @@ class BayesTree {
 
   // --- one update, step by step ---
   // Variables whose step is longer than the threshold take it into their linearisation point; returns how many.
-  size_t relinearize(double threshold, size_t most);
+  // At most so many: the farthest first, or those first that were found first, which lie near each other in the tree.
+  size_t relinearize(double threshold, size_t most, bool farthest_first);
   // Looks through all variables for steps longer than the threshold, where it is lower than the one that `solve` was told.
   void find_fluid(double threshold);
   // Takes down every clique on the way from a touched variable to the root.

@@ -111,6 +111,8 @@ void BayesTree::catch_up(size_t most) {
     carry_down(stack, most);
   }
   deferred_.erase(deferred_.begin(), deferred_.begin() + static_cast<std::ptrdiff_t>(done));
+  if (deferred_.size() > cliques())  // cliques that were made anew meanwhile
+    std::erase_if(deferred_, [&](int32_t c) { return cliques_[static_cast<size_t>(c)].deferred == 0; });
 }
 
 void BayesTree::solve(double wildfire, double relinearize_threshold, size_t most, size_t reach) {

@@ -41,11 +41,12 @@ ALLOWED: dict[str, set[str]] = {
     "checks": COMMON | SENSING | {"metrics"},
     "output": COMMON | SENSING | {"io"},
     "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output"},
+    "checkup": COMMON | SLAM | {"io", "checks"},
     "report": COMMON | SENSING | {"io", "output", "checks", "metrics"},
     "lab": COMMON | SLAM | {"sim", "metrics", "slam"},
     "cli": COMMON
     | SLAM
-    | {"slam", "io", "sim", "metrics", "checks", "calibration", "output", "pipeline", "report", "lab"},
+    | {"slam", "io", "sim", "metrics", "checks", "checkup", "calibration", "output", "pipeline", "report", "lab"},
 }
 
 

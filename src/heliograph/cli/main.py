@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from heliograph.cli import calibrate, demo, evaluate, info, run, simulate, solve
+from heliograph.cli import calibrate, check, demo, evaluate, info, run, simulate, solve
 from heliograph.errors import HeliographError
 
 __all__ = ["app", "main"]
@@ -31,6 +31,7 @@ app = typer.Typer(
 )
 app.command("run", short_help="Recording in, trajectory and map out: the main job.")(run.run)
 app.command("info", short_help="What a recording holds and what was inferred from it.")(info.info)
+app.command("check", short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
 app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
 app.command("calibrate", short_help="The noise of a recording's IMU.")(calibrate.calibrate)
 app.command("solve", short_help="A pose graph in, its most likely poses out.")(solve.solve)

@@ -7,6 +7,18 @@ from heliograph.data.nav_state import NavState
 from heliograph.data.result import ScanResult
 from heliograph.data.rig import Rig
 from heliograph.data.scan import Scan
+from heliograph.data.start import StartAccount
 from heliograph.data.trajectory import Trajectory
 
-__all__ = ["Event", "GnssFix", "ImuBatch", "ImuNoise", "NavState", "Rig", "Scan", "ScanResult", "Trajectory"]
+__all__ = [
+    "Event",
+    "GnssFix",
+    "ImuBatch",
+    "ImuNoise",
+    "NavState",
+    "Rig",
+    "Scan",
+    "ScanResult",
+    "StartAccount",
+    "Trajectory",
+]
