@@ -6,282 +6,486 @@ from typing import Annotated, Any
 import numpy
 from numpy.typing import NDArray
 
-
-def deskew(points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], offsets_ns: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], times_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], R_ref_body: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order='C', device='cpu', writable=False)], p_ref_body: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order='C', device='cpu', writable=False)], threads: int) -> NDArray[numpy.float32]: ...
-
-def voxel_downsample(points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], leaf: float) -> NDArray[numpy.int32]: ...
-
-def range_gate(points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], min_range: float, max_range: float) -> NDArray[numpy.int32]: ...
+def deskew(
+    points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    offsets_ns: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    times_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    R_ref_body: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order="C", device="cpu", writable=False)],
+    p_ref_body: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    threads: int,
+) -> NDArray[numpy.float32]: ...
+def voxel_downsample(
+    points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    leaf: float,
+) -> NDArray[numpy.int32]: ...
+def range_gate(
+    points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    min_range: float,
+    max_range: float,
+) -> NDArray[numpy.int32]: ...
 
 class GraphProblem:
-    def __init__(self, code: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], dof: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], count: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
-    def add_group(self, type: int, variables: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: int, measurement: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], noise: int, shared: bool, sqrt_information: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], kernel: int, width: float) -> int: ...
-
-    def set_custom(self, group: int, residual: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], jacobians: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)]]) -> None: ...
-
-    def set_weights(self, group: int, weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
-    def set_shift(self, group: int, shift: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
-    def set_noise(self, group: int, sqrt_information: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
-    def hold(self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
-    def set_values(self, values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
+    def __init__(
+        self,
+        code: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        dof: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        count: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    ) -> None: ...
+    def add_group(
+        self,
+        type: int,
+        variables: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+        rows: int,
+        measurement: Annotated[
+            NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)
+        ],
+        noise: int,
+        shared: bool,
+        sqrt_information: Annotated[
+            NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)
+        ],
+        kernel: int,
+        width: float,
+    ) -> int: ...
+    def set_custom(
+        self,
+        group: int,
+        residual: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+        jacobians: Sequence[
+            Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order="C", device="cpu", writable=False)]
+        ],
+    ) -> None: ...
+    def set_weights(
+        self,
+        group: int,
+        weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    ) -> None: ...
+    def set_shift(
+        self,
+        group: int,
+        shift: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    ) -> None: ...
+    def set_noise(
+        self,
+        group: int,
+        sqrt_information: Annotated[
+            NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)
+        ],
+    ) -> None: ...
+    def hold(
+        self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> None: ...
+    def set_values(
+        self, values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> None: ...
     def values(self) -> NDArray[numpy.float64]: ...
-
     def candidate(self) -> NDArray[numpy.float64]: ...
-
     def step(self) -> NDArray[numpy.float64]: ...
-
-    def set_step(self, step: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
+    def set_step(
+        self, step: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> None: ...
     def analyze(self, method: int) -> None: ...
-
-    def analyze_in(self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
+    def analyze_in(
+        self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> None: ...
     def elimination_order(self) -> NDArray[numpy.int32]: ...
-
     def linearize(self, threads: int) -> tuple[Any, ...]: ...
-
     def cost(self, candidate: bool, threads: int) -> tuple[Any, ...]: ...
-
     def factorize(self, damping: float, floor: float, threads: int) -> int: ...
-
     def solve(self, damping: float, floor: float) -> float: ...
-
-    def solve_for(self, right: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]: ...
-
-    def covariance_blocks(self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]: ...
-
+    def solve_for(
+        self,
+        right: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    ) -> NDArray[numpy.float64]: ...
+    def covariance_blocks(
+        self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> NDArray[numpy.float64]: ...
     def gradient(self) -> NDArray[numpy.float64]: ...
-
     def diagonal(self) -> NDArray[numpy.float64]: ...
-
-    def multiply(self, v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]: ...
-
+    def multiply(
+        self, v: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> NDArray[numpy.float64]: ...
     def retract(self) -> None: ...
-
     def accept(self) -> None: ...
-
     def residuals(self, group: int) -> tuple[Any, ...]: ...
-
     def jacobians(self, group: int) -> tuple[Any, ...]: ...
-
     def blocks(self) -> NDArray[numpy.float64]: ...
-
     def plan(self) -> dict[str, Any]: ...
 
-def graph_free_space(problem: GraphProblem, assumed: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], most_columns: int) -> tuple[Any, ...]: ...
-
+def graph_free_space(
+    problem: GraphProblem,
+    assumed: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    most_columns: int,
+) -> tuple[Any, ...]: ...
 def graph_components(problem: GraphProblem) -> int: ...
-
 def graph_least_pivot(problem: GraphProblem) -> float: ...
-
 def read_rows(text: bytes, tags: Sequence[str]) -> tuple[Any, ...]: ...
-
-def format_rows(tag: str, integers: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order='C', device='cpu', writable=False)], numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> tuple[Any, ...]: ...
-
-def spanning_start(count: int, i: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], j: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], relative: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order='C', device='cpu', writable=False)]) -> tuple[Any, ...]: ...
-
-def order_minimum_degree(offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], neighbour: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weight: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], group: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int32]: ...
-
-def order_nested_dissection(offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], neighbour: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weight: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int32]: ...
-
-def order_fill(offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], neighbour: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weight: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], order: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Any, ...]: ...
-
-def evaluate_factors(type: int, families: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], variables: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order='C', device='cpu', writable=False)], rows: int, measurement: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], noise: int, shared_noise: bool, sqrt_information: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], kernel: int, kernel_width: float, weight: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], shift: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], custom: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Any, ...]: ...
-
-def retract_values(manifold: int, values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)], delta: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order='C', device='cpu', writable=False)]) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]: ...
+def format_rows(
+    tag: str,
+    integers: Annotated[NDArray[numpy.int64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    numbers: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
+def spanning_start(
+    count: int,
+    i: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    j: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    relative: Annotated[
+        NDArray[numpy.float64], dict(shape=(None, None, None), order="C", device="cpu", writable=False)
+    ],
+) -> tuple[Any, ...]: ...
+def order_minimum_degree(
+    offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    neighbour: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    weight: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    group: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+) -> NDArray[numpy.int32]: ...
+def order_nested_dissection(
+    offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    neighbour: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    weight: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+) -> NDArray[numpy.int32]: ...
+def order_fill(
+    offset: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    neighbour: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    weight: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    order: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
+def evaluate_factors(
+    type: int,
+    families: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    variables: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    rows: int,
+    measurement: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    noise: int,
+    shared_noise: bool,
+    sqrt_information: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    kernel: int,
+    kernel_width: float,
+    weight: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    shift: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    custom: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
+def retract_values(
+    manifold: int,
+    values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    delta: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]: ...
 
 class BayesTree:
     def __init__(self) -> None: ...
-
-    def add_variables(self, manifold: int, dof: int, packed: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int32]: ...
-
-    def hold(self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
-    def add_kind(self, type: int, manifolds: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], dofs: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], rows: int, noise: int, kernel: int, width: float) -> int: ...
-
-    def add_factors(self, kind: int, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], measurement: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], sqrt_information: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.int32]: ...
-
-    def remove_factors(self, factors: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
-    def has_factors(self, factors: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> bool: ...
-
-    def weigh_factors(self, factors: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
+    def add_variables(
+        self,
+        manifold: int,
+        dof: int,
+        packed: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    ) -> NDArray[numpy.int32]: ...
+    def hold(
+        self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> None: ...
+    def add_kind(
+        self,
+        type: int,
+        manifolds: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        dofs: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        rows: int,
+        noise: int,
+        kernel: int,
+        width: float,
+    ) -> int: ...
+    def add_factors(
+        self,
+        kind: int,
+        variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        measurement: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        sqrt_information: Annotated[
+            NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)
+        ],
+    ) -> NDArray[numpy.int32]: ...
+    def remove_factors(
+        self, factors: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> None: ...
+    def has_factors(
+        self, factors: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> bool: ...
+    def weigh_factors(
+        self,
+        factors: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        weights: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    ) -> None: ...
     def relinearize(self, threshold: float, most: int = 1099511627776, farthest_first: bool = True) -> int: ...
-
     def find_fluid(self, threshold: float) -> None: ...
-
     def detach(self) -> None: ...
-
     def stale_factors(self, kind: int) -> NDArray[numpy.int32]: ...
-
-    def set_custom(self, factors: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)], residual: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], jacobians: Sequence[Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]]) -> None: ...
-
+    def set_custom(
+        self,
+        factors: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        residual: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        jacobians: Sequence[
+            Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)]
+        ],
+    ) -> None: ...
     def reorder(self) -> None: ...
-
     def eliminate(self, most: int = 1099511627776) -> int: ...
-
-    def leave(self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
+    def leave(
+        self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> None: ...
     def drop_left(self) -> NDArray[numpy.int32]: ...
-
     def held(self, variable: int) -> bool: ...
-
     @property
     def waiting(self) -> int: ...
-
     def undo(self) -> None: ...
-
-    def covariance(self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]: ...
-
-    def joint_covariance(self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]: ...
-
+    def covariance(
+        self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> NDArray[numpy.float64]: ...
+    def joint_covariance(
+        self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> NDArray[numpy.float64]: ...
     def clique_table(self) -> tuple[Any, ...]: ...
-
     def made(self) -> NDArray[numpy.int32]: ...
-
     def save(self) -> bytes: ...
-
     def load(self, state: bytes) -> None: ...
-
     def solve(self, wildfire: float, threshold: float, most: int, later: int) -> int: ...
-
     def finish_steps(self) -> None: ...
-
     @property
     def deferred(self) -> int: ...
-
     def counts(self) -> tuple[Any, ...]: ...
-
     @property
     def work(self) -> float: ...
-
-    def estimate(self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]: ...
-
-    def linearization_point(self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> NDArray[numpy.float64]: ...
-
+    def estimate(
+        self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> NDArray[numpy.float64]: ...
+    def linearization_point(
+        self, variables: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)]
+    ) -> NDArray[numpy.float64]: ...
     @property
     def pending(self) -> bool: ...
-
     @property
     def idle(self) -> bool: ...
-
     def delta(self) -> NDArray[numpy.float64]: ...
-
     def largest_step(self) -> float: ...
-
     def cost(self) -> tuple[Any, ...]: ...
-
     def bytes(self) -> int: ...
-
     @property
     def fluid(self) -> int: ...
-
     @property
     def slots(self) -> int: ...
-
     @property
     def variables(self) -> int: ...
-
     @property
     def cliques(self) -> int: ...
-
     @property
     def factors(self) -> int: ...
 
-def propagate(stamps_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], gyro: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], accel: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], t0_ns: int, t1_ns: int, R_odom_imu: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order='C', device='cpu', writable=False)], vectors: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], g_basis: Annotated[NDArray[numpy.float64], dict(shape=(3, 2), order='C', device='cpu', writable=False)], model: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Any, ...]: ...
-
-def preintegrate(stamps_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], gyro: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], accel: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], starts_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], ends_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order='C', device='cpu', writable=False)], biases: Annotated[NDArray[numpy.float64], dict(shape=(None, 6), order='C', device='cpu', writable=False)], model: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> tuple[Any, ...]: ...
-
-def motion_residuals(X_i: Annotated[NDArray[numpy.float64], dict(shape=(None, 5, 5), order='C', device='cpu', writable=False)], X_j: Annotated[NDArray[numpy.float64], dict(shape=(None, 5, 5), order='C', device='cpu', writable=False)], bias: Annotated[NDArray[numpy.float64], dict(shape=(None, 6), order='C', device='cpu', writable=False)], gravity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], motion: Annotated[NDArray[numpy.float64], dict(shape=(None, 92), order='C', device='cpu', writable=False)], sampled: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 7), order='C', device='cpu', writable=False)], jacobians: bool) -> tuple[Any, ...]: ...
-
-def decode_points(x: object, y: object, z: object, time: object | None, intensity: object | None, ring: object | None) -> tuple[Any, ...]: ...
-
-def sweep_offsets(times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order='C', device='cpu', writable=False)], first: float, ns_per_unit: float, longest_ns: float) -> tuple[Any, ...]: ...
-
-def so3_exp(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def so3_log(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def so3_left_jacobian(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def so3_right_jacobian(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def so3_left_jacobian_inverse(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def so3_right_jacobian_inverse(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se2_exp(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se2_log(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se2_inverse(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se2_adjoint(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se2_right_jacobian(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se2_right_jacobian_inverse(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se3_exp(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se3_log(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se3_inverse(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se3_adjoint(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se3_right_jacobian(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se3_right_jacobian_inverse(batch: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se2_compose(a: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], b: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
-
-def se3_compose(a: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], b: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu', writable=False)], out: Annotated[NDArray[numpy.float64], dict(order='C', device='cpu')]) -> None: ...
+def propagate(
+    stamps_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    gyro: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    accel: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    t0_ns: int,
+    t1_ns: int,
+    R_odom_imu: Annotated[NDArray[numpy.float64], dict(shape=(3, 3), order="C", device="cpu", writable=False)],
+    vectors: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    g_basis: Annotated[NDArray[numpy.float64], dict(shape=(3, 2), order="C", device="cpu", writable=False)],
+    model: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
+def preintegrate(
+    stamps_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    gyro: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    accel: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    starts_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    ends_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    biases: Annotated[NDArray[numpy.float64], dict(shape=(None, 6), order="C", device="cpu", writable=False)],
+    model: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
+def motion_residuals(
+    X_i: Annotated[NDArray[numpy.float64], dict(shape=(None, 5, 5), order="C", device="cpu", writable=False)],
+    X_j: Annotated[NDArray[numpy.float64], dict(shape=(None, 5, 5), order="C", device="cpu", writable=False)],
+    bias: Annotated[NDArray[numpy.float64], dict(shape=(None, 6), order="C", device="cpu", writable=False)],
+    gravity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    motion: Annotated[NDArray[numpy.float64], dict(shape=(None, 92), order="C", device="cpu", writable=False)],
+    sampled: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 7), order="C", device="cpu", writable=False)],
+    jacobians: bool,
+) -> tuple[Any, ...]: ...
+def decode_points(
+    x: object, y: object, z: object, time: object | None, intensity: object | None, ring: object | None
+) -> tuple[Any, ...]: ...
+def sweep_offsets(
+    times: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    first: float,
+    ns_per_unit: float,
+    longest_ns: float,
+) -> tuple[Any, ...]: ...
+def so3_exp(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def so3_log(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def so3_left_jacobian(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def so3_right_jacobian(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def so3_left_jacobian_inverse(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def so3_right_jacobian_inverse(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se2_exp(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se2_log(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se2_inverse(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se2_adjoint(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se2_right_jacobian(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se2_right_jacobian_inverse(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se3_exp(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se3_log(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se3_inverse(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se3_adjoint(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se3_right_jacobian(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se3_right_jacobian_inverse(
+    batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se2_compose(
+    a: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    b: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
+def se3_compose(
+    a: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    b: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
+) -> None: ...
 
 class VoxelMap:
-    def __init__(self, voxel: float, levels: int, min_points: int, max_points: int, max_thickness: float, min_spread: float, point_spacing: float) -> None: ...
-
-    def insert(self, points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order='C', device='cpu', writable=False)], T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order='C', device='cpu', writable=False)]) -> float: ...
-
-    def prune(self, centre: Annotated[NDArray[numpy.float64], dict(shape=(3), order='C', device='cpu', writable=False)], radius: float, max_voxels: int) -> None: ...
-
+    def __init__(
+        self,
+        voxel: float,
+        levels: int,
+        min_points: int,
+        max_points: int,
+        max_thickness: float,
+        min_spread: float,
+        point_spacing: float,
+    ) -> None: ...
+    def insert(
+        self,
+        points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+        T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    ) -> float: ...
+    def prune(
+        self,
+        centre: Annotated[NDArray[numpy.float64], dict(shape=(3), order="C", device="cpu", writable=False)],
+        radius: float,
+        max_voxels: int,
+    ) -> None: ...
     def __len__(self) -> int: ...
-
     def bytes(self) -> int: ...
-
     def planes(self) -> NDArray[numpy.float64]: ...
 
 class GlobalMap:
     def __init__(self, voxel: float) -> None: ...
-
-    def insert(self, points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], intensity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], T_map_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order='C', device='cpu', writable=False)]) -> None: ...
-
+    def insert(
+        self,
+        points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        intensity: Annotated[NDArray[numpy.float32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        T_map_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    ) -> None: ...
     def __len__(self) -> int: ...
-
     def bytes(self) -> int: ...
-
     def points(self) -> NDArray[numpy.float32]: ...
-
     def intensity(self) -> NDArray[numpy.float32]: ...
-
     def counts(self) -> NDArray[numpy.float32]: ...
 
-def match_planes(map: VoxelMap, points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], before_end: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order='C', device='cpu', writable=False)], T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order='C', device='cpu', writable=False)], gate: float, kernel: float, sigma: float, fallback_stride: int, fallback_range: float, columns: int, threads: int) -> tuple[Any, ...]: ...
-
-def match_points(map: VoxelMap, points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order='C', device='cpu', writable=False)], before_end: Annotated[NDArray[numpy.float32], dict(shape=(None,), order='C', device='cpu', writable=False)], T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order='C', device='cpu', writable=False)], T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order='C', device='cpu', writable=False)], gate: float, kernel: float, sigma: float, columns: int, threads: int) -> tuple[Any, ...]: ...
-
-def query_planes(map: VoxelMap, points_odom: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order='C', device='cpu', writable=False)], gate: float, fallback_stride: int, fallback_range: float) -> tuple[Any, ...]: ...
+def match_planes(
+    map: VoxelMap,
+    points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    before_end: Annotated[NDArray[numpy.float32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    gate: float,
+    kernel: float,
+    sigma: float,
+    fallback_stride: int,
+    fallback_range: float,
+    columns: int,
+    threads: int,
+) -> tuple[Any, ...]: ...
+def match_points(
+    map: VoxelMap,
+    points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    before_end: Annotated[NDArray[numpy.float32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    gate: float,
+    kernel: float,
+    sigma: float,
+    columns: int,
+    threads: int,
+) -> tuple[Any, ...]: ...
+def query_planes(
+    map: VoxelMap,
+    points_odom: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    gate: float,
+    fallback_stride: int,
+    fallback_range: float,
+) -> tuple[Any, ...]: ...
 
 class Scene:
-    def __init__(self, packed: Annotated[NDArray[numpy.float64], dict(shape=(None, 18), order='C', device='cpu', writable=False)], shapes: Annotated[NDArray[numpy.int32], dict(shape=(None,), order='C', device='cpu', writable=False)]) -> None: ...
-
+    def __init__(
+        self,
+        packed: Annotated[NDArray[numpy.float64], dict(shape=(None, 18), order="C", device="cpu", writable=False)],
+        shapes: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    ) -> None: ...
     def __len__(self) -> int: ...
-
-    def cast(self, directions: NDArray[numpy.float64], T_world_sensor: NDArray[numpy.float64], min_range: float, max_range: float, threads: int) -> tuple[NDArray[numpy.float64], NDArray[numpy.float32], NDArray[numpy.int32]]: ...
+    def cast(
+        self,
+        directions: NDArray[numpy.float64],
+        T_world_sensor: NDArray[numpy.float64],
+        min_range: float,
+        max_range: float,
+        threads: int,
+    ) -> tuple[NDArray[numpy.float64], NDArray[numpy.float32], NDArray[numpy.int32]]: ...
