@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 
 _REST_SPEED_SIGMA = 0.02
 _MOVING_SPEED_SIGMA, _MOVING_RATE_SIGMA, _MOVING_UP_SIGMA = 0.3, 0.02, 0.3
+_SCALE_DOUBT = 0.02  # share by which an accelerometer's scale may be off before it is worth a warning
 # The filter matches the scans of the start again, from the first one on. It is told a quarter of what the alignment
 # learnt from them, so that they count little more than once.
 _TOLD_SHARE = 0.25
@@ -117,7 +118,7 @@ def find_start(
         What `look` said of the first of these packets; of all of them if not given.
     """
     first = first or look(packets, imu, rig, config, threads=threads)
-    begin_ns = packets[0].scan.stamp_ns if packets[0].scan is not None else int(imu.stamps_ns[0])
+    begin_ns = _begin_of(packets, imu)
     if first.rest is None:
         return _without_imu(begin_ns, packets[0].end_ns, first.moved, rig, config)
     if first.still:
@@ -128,7 +129,7 @@ def find_start(
     else:
         motion = MotionModel(config.imu, config.filter, noise_in_motion(imu, config.imu))
         state, account = _moving_start(packets, imu, rig, config, first, threads)
-        events = (_moving_event(begin_ns, first, account),)
+        events = (_moving_event(begin_ns, first, account), *_scale_event(begin_ns, account))
     state = _rebased(state, motion, imu, packets[0].end_ns)
     return Start(state=state, motion=motion, events=events, account=account)
 
@@ -205,6 +206,17 @@ def _moving_event(begin_ns: int, first: FirstLook, account: StartAccount) -> Eve
     if not usable:
         text += " - begin a recording with 2 s at rest for a sure start"
     return Event(code="start-moving", message=text, stamp_ns=begin_ns, severity="info" if usable else "warning")
+
+
+def _scale_event(begin_ns: int, account: StartAccount) -> tuple[Event, ...]:
+    off, sigma = abs(account.accel_scale - 1.0), account.accel_scale_sigma
+    if not off > _SCALE_DOUBT + 4.0 * sigma:
+        return ()
+    text = (
+        f"the accelerometer shows {account.accel_scale:.3f} (+- {sigma:.3f}) times the motion that the LiDAR saw and "
+        f"gravity: check its unit and calibration, or set input.accel_unit"
+    )
+    return (Event(code="accel-scale", message=text, stamp_ns=begin_ns),)
 
 
 def _without_imu(begin_ns: int, end_ns: int, moved: LidarMotion | None, rig: Rig, config: RunConfig) -> Start:

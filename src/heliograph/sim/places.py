@@ -208,7 +208,7 @@ def street(rng: np.random.Generator) -> Place:
         x = -60.0
         while x < 330.0:  # houses of different depth, with gaps between them
             length, depth, height = rng.uniform((9.0, 8.0, 5.0), (18.0, 12.0, 12.0))
-            if side < 0.0 or x + length < 235.0:
+            if side < 0.0 or x + length < 215.0:
                 y = side * (9.0 + rng.uniform(0.0, 3.0) + depth / 2.0)
                 primitives.append(_standing(x + length / 2.0, y, (length, depth, height), _BRICK))
             x += length + rng.uniform(1.5, 6.0)
@@ -218,12 +218,12 @@ def street(rng: np.random.Generator) -> Place:
             if rng.random() < 0.55:
                 car = rng.uniform((3.8, 1.7, 1.4), (5.2, 1.9, 2.0))
                 primitives.append(_standing(x, side * 4.4, car, _PANEL, yaw=rng.normal(0.0, 0.03)))
-    for x, y in rng.uniform((245.0, 45.0), (300.0, 120.0), (14, 2)):  # a park inside and outside of the bend
-        if abs(x - 285.0) > 6.0:
+    for x, y in rng.uniform((225.0, 15.0), (320.0, 130.0), (30, 2)):  # a park inside and outside of the bend
+        if abs(np.hypot(x - 225.0, y - 60.0) - 60.0) > 8.0 and abs(x - 285.0) > 8.0:
             primitives.append(cylinder((x, y, 2.0), 0.25, 4.0, None, _WOOD))
             primitives.append(box((x, y, 5.0), rng.uniform(2.0, 3.5, 3), _yaw(rng.uniform(-0.5, 0.5)), _GRASS))
-    waypoints = np.array([(0.0, 0.0, 1.7), (285.0, 0.0, 1.7), (285.0, 140.0, 1.7)])
-    return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=40.0, closed=False))
+    waypoints = np.array([(0.0, 0.0, 1.7), (285.0, 0.0, 1.7), (285.0, 200.0, 1.7)])
+    return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=60.0, closed=False))
 
 
 PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(

@@ -171,7 +171,9 @@ def _moving_starts() -> Iterator[Scenario]:
     """Yield recordings that begin in motion; ``walk.begin`` 0 makes of each the same course with a rest before it."""
     wheels = Gait(bounce=0.0, lateral=0.0, roll_deg=0.0, pitch_deg=0.0, yaw_deg=0.0)
     shaken = Gait(frequency=3.0, bounce=0.02, lateral=0.02, roll_deg=8.0, pitch_deg=6.0, yaw_deg=12.0)
-    yield Scenario(name="start-constant", gait=wheels, walk=Walk(begin=9.0, duration=15.0)).thinned(columns=512)
+    yield Scenario(name="start-constant", place="aisles", gait=wheels, walk=Walk(begin=6.5, duration=15.0)).thinned(
+        columns=512
+    )
     yield Scenario(name="start-turning", place="aisles", gait=wheels, walk=Walk(begin=12.6, duration=15.0)).thinned(
         columns=512
     )
@@ -186,7 +188,7 @@ def _moving_starts() -> Iterator[Scenario]:
         name="start-vehicle",
         place="street",
         gait=wheels,
-        walk=Walk(speed=15.0, rest=3.0, ramp=4.0, begin=8.0, duration=12.0),
+        walk=Walk(speed=15.0, rest=3.0, ramp=4.0, begin=8.0, duration=15.0),
     ).thinned(columns=512)
 
 
