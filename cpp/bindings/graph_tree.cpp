@@ -109,9 +109,9 @@ void bind_graph_tree(nb::module_& m) {
       .def("made", [](const BayesTree& t) { return numbers(std::vector<int32_t>(t.made())); })
       .def("save", &save)
       .def("load", &load, "state"_a)
-      .def("solve", [](BayesTree& t, double wildfire, double threshold, size_t most, size_t reach) {
-        unlocked([&] { t.solve(wildfire, threshold, most, reach); });
-      }, "wildfire"_a, "threshold"_a, "most"_a, "reach"_a)
+      .def("solve", [](BayesTree& t, double wildfire, double threshold, size_t most, size_t later) {
+        return unlocked([&] { return t.solve(wildfire, threshold, most, later); });
+      }, "wildfire"_a, "threshold"_a, "most"_a, "later"_a)
       .def("finish_steps", [](BayesTree& t) { unlocked([&] { t.finish_steps(); }); })
       .def_prop_ro("deferred", &BayesTree::deferred)
       .def("counts", &counts)

@@ -96,8 +96,8 @@ class BayesTree {
   // Undoes everything since the last update ended: the tree is as it was then, to the bit.
   void undo() { roll_back(); }
   // Steps from the root down, as far as they change by more than `wildfire`; beyond about `most` variables they are put off.
-  // What was put off before goes on where this solve itself came to `reach` variables.
-  void solve(double wildfire, double relinearize_threshold, size_t most, size_t reach);
+  // Of what was put off before, `later` are done within the same limit. Returns how many of those were.
+  size_t solve(double wildfire, double relinearize_threshold, size_t most, size_t later);
   void finish_steps();  // all that was put off
 
   // --- what leaves ---

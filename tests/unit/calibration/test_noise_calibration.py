@@ -41,6 +41,9 @@ def test_rest_gives_densities_and_walks_for_a_filter(resting):
         assert found.white == pytest.approx(truth["white"], abs=4.0 * found.white_sigma)
         assert found.walk == pytest.approx(truth["walk"], abs=4.0 * found.walk_sigma)
         assert found.white_sigma < 0.01 * found.white and found.walk_sigma < 0.2 * found.walk
+    axes = [channel.term("white") for channel in result.rest.channels[:3]]
+    assert result.gyro.white == pytest.approx(np.sqrt(np.mean([axis.value**2 for axis in axes])))
+    assert result.gyro.white_sigma == pytest.approx(np.mean([axis.sigma for axis in axes]) / np.sqrt(3.0), rel=0.05)
     assert (result.noise.gyro, result.noise.accel_walk) == (result.gyro.white, result.accel.walk)
     assert (result.rate, result.duration) == (pytest.approx(RATE), pytest.approx(600.0))
     assert result.rest.floor.shape == result.rest.floor_tau.shape == (6,)
