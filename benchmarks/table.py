@@ -9,16 +9,21 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.graph_table import graph_section, graph_summary, scale_section
+from benchmarks.imu_table import gnss_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
+from benchmarks.start import start_section
 
 __all__ = ["write_readme", "write_table"]
 
 _Rows = list[dict[str, Any]]
-_GRAPH_SECTIONS = {
+_OTHER_SECTIONS = {
+    "start": start_section,
     "graph": graph_section,
     "graph_scale": scale_section,
     "graph_incremental": incremental_section,
     "graph_incremental_scale": incremental_scale_section,
+    "imu": preintegration_section,
+    "imu_gnss": gnss_section,
 }
 
 
@@ -34,7 +39,7 @@ def write_table(results: Path, target: Path) -> None:
     for name, section in (("kitti", _kitti), ("sharpness", _sharpness), ("speed", _speed)):
         if name in found:
             sections.append(section(found[name]))
-    for name, section_of in _GRAPH_SECTIONS.items():
+    for name, section_of in _OTHER_SECTIONS.items():
         if name in found:
             sections.append(section_of(found[name], _table))
     target.write_text("\n".join(sections))

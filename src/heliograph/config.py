@@ -90,6 +90,8 @@ class ImuConfig:
         White noise added while samples are held or bridged [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
     start_window : float
         Data looked at before the first pose [s].
+    moving_window : float
+        Data looked at where those show motion [s].
     still_duration : float
         Least rest for a static start [s].
     still_gyro_sigma, still_accel_sigma : float
@@ -98,6 +100,10 @@ class ImuConfig:
         Most mean rate [rad/s] and most error of the mean force's length [m/s^2] at rest.
     still_speed : float
         Most speed that the LiDAR may see at rest [m/s].
+    still_block : float
+        Vibration is told from motion by means over this long [s].
+    vibration_gyro, vibration_accel : float
+        Most spread of a channel at rest on something that vibrates [rad/s], [m/s^2].
     """
 
     gravity: float = 9.80665
@@ -116,12 +122,16 @@ class ImuConfig:
     held_gyro_noise: float = 0.1
     held_accel_noise: float = 1.0
     start_window: float = 1.0
+    moving_window: float = 3.0
     still_duration: float = 0.5
     still_gyro_sigma: float = 0.03
     still_accel_sigma: float = 0.3
     still_rate: float = 0.1
     still_gravity_error: float = 0.6
     still_speed: float = 0.1
+    still_block: float = 0.2
+    vibration_gyro: float = 0.3
+    vibration_accel: float = 5.0
 
     def __post_init__(self) -> None:
         positive = (
@@ -132,9 +142,10 @@ class ImuConfig:
             "accel_noise_floor",
             "max_step",
             "max_gap",
+            "still_block",
         )
         check_range(self, *positive, "gyro_bias_sigma", "accel_bias_sigma", above=0.0)
-        check_range(self, "gyro_walk", "accel_walk", "curvature", "hold", "start_window", low=0.0)
+        check_range(self, "gyro_walk", "accel_walk", "curvature", "hold", "start_window", "moving_window", low=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -244,6 +244,7 @@ def conclude(
         wall_seconds=clock.wall,
         seconds=dict(clock.seconds),
         T_map_odom=T_map_odom,
+        start=getattr(odometry, "start", None),
         failure="" if failure is None else str(failure) or type(failure).__name__,
     )
 

@@ -7,8 +7,8 @@ import pytest
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "heliograph"
 
-# What everybody may import; `atomic`, `config` and its helpers know only the errors.
-COMMON = {"atomic", "errors", "config", "config_checks", "config_toml", "_core"}
+# What everybody may import; `atomic`, `chi_square`, `config` and its helpers know only the errors.
+COMMON = {"atomic", "chi_square", "errors", "config", "config_checks", "config_toml", "_core"}
 SENSING = {"lie", "data"}
 ODOMETRY = SENSING | {"cloud", "imu", "maps", "registration"}
 ENGINE = {"lie", "graph"}
@@ -19,6 +19,7 @@ ALLOWED: dict[str, set[str]] = {
     "__init__": COMMON | SLAM | {"slam", "io", "metrics", "output", "pipeline"},
     "errors": set(),
     "atomic": {"errors"},
+    "chi_square": {"errors"},
     "config_checks": {"errors"},
     "config": {"errors", "config_checks"},
     "config_toml": {"errors", "config", "config_checks"},
@@ -40,11 +41,12 @@ ALLOWED: dict[str, set[str]] = {
     "checks": COMMON | SENSING | {"metrics"},
     "output": COMMON | SENSING | {"io"},
     "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output"},
+    "checkup": COMMON | SLAM | {"io", "checks"},
     "report": COMMON | SENSING | {"io", "output", "checks", "metrics"},
     "lab": COMMON | SLAM | {"sim", "metrics", "slam"},
     "cli": COMMON
     | SLAM
-    | {"slam", "io", "sim", "metrics", "checks", "calibration", "output", "pipeline", "report", "lab"},
+    | {"slam", "io", "sim", "metrics", "checks", "checkup", "calibration", "output", "pipeline", "report", "lab"},
 }
 
 

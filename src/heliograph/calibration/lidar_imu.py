@@ -25,7 +25,7 @@ from heliograph.config import ImuConfig, RunConfig
 from heliograph.data import ImuBatch, ImuClock, ImuNoise, Rig
 from heliograph.errors import DataError
 from heliograph.imu import assess_stillness
-from heliograph.imu.static_start import configured_noise
+from heliograph.imu.white_floor import noise_in_motion
 from heliograph.lie import se3, so3
 
 __all__ = ["Calibration", "Excitation", "calibrate"]
@@ -293,7 +293,7 @@ class _Run:
 
 
 def measured_noise(imu: ImuBatch, config: ImuConfig) -> ImuNoise:
-    """Return the noise of an IMU from the seconds at rest in a recording, or what is assumed of one never at rest."""
+    """Return the noise of an IMU from the seconds at rest in a recording, or of one never at rest."""
     rests = []
     for start in range(int(imu.stamps_ns[0]), int(imu.stamps_ns[-1]) - _REST_NS + 1, _REST_NS // 2):
         first, last = np.searchsorted(imu.stamps_ns, [start, start + _REST_NS]).tolist()
@@ -309,7 +309,7 @@ def measured_noise(imu: ImuBatch, config: ImuConfig) -> ImuNoise:
             )
             rests += [rest.noise] if rest.still else []
     if not rests:
-        return configured_noise(config)
+        return noise_in_motion(imu, config)
     # The median: the calmest of many would be too calm by chance, the mean is moved by a second that was not at rest.
     gyro, accel = (float(np.median([getattr(rest, name) for rest in rests])) for name in ("gyro", "accel"))
     return replace(rests[0], gyro=gyro, accel=accel)

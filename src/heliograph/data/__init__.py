@@ -8,6 +8,7 @@ from heliograph.data.nav_state import NavState
 from heliograph.data.result import ScanResult
 from heliograph.data.rig import Rig
 from heliograph.data.scan import Scan
+from heliograph.data.start import StartAccount
 from heliograph.data.trajectory import Trajectory
 
 __all__ = [
@@ -20,5 +21,6 @@ __all__ = [
     "Rig",
     "Scan",
     "ScanResult",
+    "StartAccount",
     "Trajectory",
 ]

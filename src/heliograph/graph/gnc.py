@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.chi_square import chi_square_quantile
 from heliograph.config_checks import check_choice, check_range
 from heliograph.errors import GraphError
-from heliograph.graph.chi_square import chi_square_quantile
 from heliograph.graph.factor_graph import FactorGraph
 from heliograph.graph.factors import Between
 from heliograph.graph.gnc_rounds import Rounds

@@ -191,7 +191,8 @@ def _require(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo], 
         remedy = "use --sensors imu to dead-reckon" if imus else "record a sensor_msgs/PointCloud2 or a Livox CustomMsg"
         raise DataError(f"{source.description}: no LiDAR topic among {listing}; {remedy}")
     if not imus and sensors != "auto" and "imu" in sensors:
-        raise DataError(f"{source.description}: no IMU topic among {listing}; use --sensors lidar")
+        remedy = "use --sensors lidar" if sensors != "imu" else "record a sensor_msgs/Imu"
+        raise DataError(f"{source.description}: no IMU topic among {listing}; {remedy}")
 
 
 def _require_messages(

@@ -186,6 +186,13 @@ class Recording:
         if pending:
             yield self._batch(pending)
 
+    def raw_imu(self) -> Iterator[RawImu]:
+        """Yield the IMU's messages as they were recorded: units, order and stamps untouched, unusable ones included."""
+        topic = self.interpretation.imu
+        for message in self._messages(frozenset({topic} if topic else ())):
+            if isinstance(message, RawImu):
+                yield message
+
     def survey(self) -> StreamTally:
         """Read the whole recording without converting it, and return the counts of its streams."""
         self.tally = self._new_tally()
@@ -233,9 +240,11 @@ class Recording:
     def _new_tally(self) -> StreamTally:
         return StreamTally.expecting(self.interpretation.timing.period_ns, self.interpretation.imu_period_ns)
 
-    def _messages(self) -> Iterator[RawMessage]:
+    def _messages(self, topics: frozenset[str] | None = None) -> Iterator[RawMessage]:
+        """Yield the messages of ``topics``, by default of all sensors, within the part of the recording to use."""
         found = self.interpretation
-        topics = frozenset(topic for topic in (found.lidar, found.imu, found.gnss) if topic)
+        if topics is None:
+            topics = frozenset(topic for topic in (found.lidar, found.imu, found.gnss) if topic)
         start_ns = found.start_ns + round(self._config.start * 1e9)
         end_ns = start_ns + round(self._config.duration * 1e9) if self._config.duration > 0 else None
         if isinstance(self._source, RosbagSource):  # can skip to the start without decoding

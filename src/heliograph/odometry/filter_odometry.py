@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
-from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult
+from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult, StartAccount
 from heliograph.lie import so3
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter import FilterCore
 from heliograph.odometry.sequencer import Packet, Sequencer
-from heliograph.odometry.start import find_start
+from heliograph.odometry.start import FirstLook, find_start, look
 
 __all__ = ["FilterOdometry"]
 
@@ -19,7 +19,9 @@ _LEVEL_DEG, _TILTED_DEG = 0.2, 1.0  # a map whose level is known no better deser
 
 
 class FilterOdometry:
-    """The filter as an `Odometry`: it gathers the first second, finds a start, and then steps scan by scan.
+    """The filter as an `Odometry`: it gathers a second or three, finds a start, and then steps scan by scan.
+
+    Nothing is lost by the waiting: the first scans are processed like all others once the start is known.
 
     Parameters
     ----------
@@ -42,10 +44,12 @@ class FilterOdometry:
     ) -> None:
         self.events: list[Event] = []
         self.core: FilterCore | None = None
+        self.start: StartAccount | None = None
         self._config, self._rig, self._threads, self._local_map = config, rig, threads, local_map
         self._sensors = sensors & {"lidar", "imu"}
         self._sequencer = Sequencer(self._sensors)
         self._waiting: list[Packet] = []
+        self._first: FirstLook | None = None
 
     def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
         """Take one message and return the results that it made ready."""
@@ -93,11 +97,18 @@ class FilterOdometry:
             return False
         first = self._waiting[0]
         begin_ns = first.scan.stamp_ns if first.scan is not None else first.end_ns
-        if not ended and (self._waiting[-1].end_ns - begin_ns) * 1e-9 < self._config.imu.start_window:
+        gathered = (self._waiting[-1].end_ns - begin_ns) * 1e-9
+        if not ended and gathered < self._config.imu.start_window:
             return False
         imu = self._sequencer.imu.everything()
-        start = find_start(self._waiting, imu, self._rig, self._config, threads=self._threads)
+        if self._first is None:
+            self._first = look(self._waiting, imu, self._rig, self._config, threads=self._threads)
+        # What begins in motion is known better from more of it.
+        if not ended and self._first.wants_more and gathered < self._config.imu.moving_window:
+            return False
+        start = find_start(self._waiting, imu, self._rig, self._config, threads=self._threads, first=self._first)
         self.events += start.events
+        self.start = start.account
         self.core = FilterCore(
             start.state, start.motion, self._config, local_map=self._local_map, threads=self._threads
         )

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from heliograph.data import StartAccount
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 
@@ -89,6 +90,7 @@ def final_facts(
             "eigenvalue": summary.weakest_eigenvalue,
             "direction_map": summary.weakest_direction.tolist(),
         },
+        **({"start": _start(summary.start)} if summary.start is not None else {}),
         "warnings": [asdict(event) for event in summary.events],
         "timings": _timings(summary, writer_seconds, closing_seconds),
         "peak_memory_mb": peak_memory_mb(),
@@ -99,6 +101,33 @@ def final_facts(
         "files": [path.name for path in files],
     }
     return {key: plain(value) for key, value in account.items()}
+
+
+def _start(start: StartAccount) -> dict[str, Any]:
+    """Return how the odometry began, in the units that people read."""
+    account = {
+        "kind": start.kind,
+        "verdict": start.verdict,
+        "reason": start.reason,
+        "data_s": start.duration,
+        "gravity_sigma_deg": math.degrees(start.gravity_sigma),
+        "velocity_sigma": start.velocity_sigma,
+        "gyro_bias_sigma": start.gyro_bias_sigma,
+        "accel_bias_sigma": start.accel_bias_sigma,
+    }
+    if start.kind == "static":
+        account["stillness"] = start.stillness
+    if start.kind == "moving":
+        account["excitation"] = {
+            "turned_deg": math.degrees(start.turned),
+            "rate_rms": start.rate_rms,
+            "force_rms": start.force_rms,
+        }
+        account["misfit"] = start.misfit
+        account["accel_scale"] = start.accel_scale
+        account["accel_scale_sigma"] = start.accel_scale_sigma
+        account["unobservable"] = list(start.unobservable)
+    return account
 
 
 def _timings(summary: RunSummary, writer_seconds: Mapping[str, float], closing_seconds: float) -> dict[str, Any]:

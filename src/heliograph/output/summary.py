@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.data import Event, ScanResult
+from heliograph.data import Event, ScanResult, StartAccount
 
 __all__ = ["RunSummary", "Tally", "fold_events", "judge"]
 
@@ -61,6 +61,8 @@ class RunSummary:
         Warnings of the recording and of the odometry, repeats folded.
     T_map_odom : (4, 4) float64
         Applied to every written pose and map point: the odometry's last word on which way is up.
+    start : StartAccount or None
+        How the odometry began; None where it does not tell.
     failure : str
         The error that ended the run early, or empty.
     """
@@ -82,6 +84,7 @@ class RunSummary:
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     T_map_odom: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    start: StartAccount | None = None
     failure: str = ""
 
     @property

@@ -207,6 +207,38 @@ def tunnel(rng: np.random.Generator) -> Place:
     return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=1.0, closed=False))
 
 
+def street(rng: np.random.Generator) -> Place:
+    """Return a street of 280 m between houses, with parked cars, poles and trees, that ends in a wide bend."""
+    primitives = [rectangle((140.0, 20.0, 0.0), (460.0, 260.0), _LEVEL, _ASPHALT)]
+    for side in (-1.0, 1.0):
+        x = -60.0
+        while x < 330.0:  # houses of different depth, with gaps between them
+            length, depth, height = rng.uniform((9.0, 8.0, 5.0), (18.0, 12.0, 12.0))
+            if side < 0.0 or x + length < 215.0:
+                y = side * (9.0 + rng.uniform(0.0, 3.0) + depth / 2.0)
+                primitives.append(_standing(x + length / 2.0, y, (length, depth, height), _BRICK))
+            x += length + rng.uniform(1.5, 6.0)
+        for x in np.arange(-50.0, 230.0, 22.0):
+            primitives.append(cylinder((x + rng.normal(0.0, 1.5), side * 5.6, 3.5), 0.1, 7.0, None, _STEEL))
+        for x in np.arange(-45.0, 225.0, 9.0):
+            if rng.random() < 0.55:
+                car = rng.uniform((3.8, 1.7, 1.4), (5.2, 1.9, 2.0))
+                primitives.append(_standing(x, side * 4.4, car, _PANEL, yaw=rng.normal(0.0, 0.03)))
+    for x, y in rng.uniform((225.0, 15.0), (320.0, 130.0), (30, 2)):  # a park inside and outside of the bend
+        if abs(np.hypot(x - 225.0, y - 60.0) - 60.0) > 8.0 and abs(x - 285.0) > 8.0:
+            primitives.append(cylinder((x, y, 2.0), 0.25, 4.0, None, _WOOD))
+            primitives.append(box((x, y, 5.0), rng.uniform(2.0, 3.5, 3), _yaw(rng.uniform(-0.5, 0.5)), _GRASS))
+    waypoints = np.array([(0.0, 0.0, 1.7), (285.0, 0.0, 1.7), (285.0, 200.0, 1.7)])
+    return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=60.0, closed=False))
+
+
 PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(
-    {"aisles": aisles, "level_room": level_room, "room": room, "tunnel": tunnel, "warehouse": warehouse}
+    {
+        "aisles": aisles,
+        "level_room": level_room,
+        "room": room,
+        "street": street,
+        "tunnel": tunnel,
+        "warehouse": warehouse,
+    }
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -169,7 +169,33 @@ def _registry() -> dict[str, Scenario]:
         "calibration": Scenario(name="calibration", place="room", walk=short, gait=waved, lidar=indoors),
         "planar": Scenario(name="planar", place="level_room", walk=short, gait=slalom, lidar=indoors),
         "tunnel": Scenario(name="tunnel", place="tunnel", gnss=GnssModel(rate=0.0)),
+        **{scenario.name: scenario for scenario in _moving_starts()},
     }
+
+
+def _moving_starts() -> Iterator[Scenario]:
+    """Yield recordings that begin in motion; ``walk.begin`` 0 makes of each the same course with a rest before it."""
+    wheels = Gait(bounce=0.0, lateral=0.0, roll_deg=0.0, pitch_deg=0.0, yaw_deg=0.0)
+    shaken = Gait(frequency=3.0, bounce=0.02, lateral=0.02, roll_deg=8.0, pitch_deg=6.0, yaw_deg=12.0)
+    yield Scenario(name="start-constant", place="aisles", gait=wheels, walk=Walk(begin=6.5, duration=15.0)).thinned(
+        columns=512
+    )
+    yield Scenario(name="start-turning", place="aisles", gait=wheels, walk=Walk(begin=12.6, duration=15.0)).thinned(
+        columns=512
+    )
+    yield Scenario(
+        name="start-shaking",
+        place="room",
+        walk=Walk(speed=0.8, rest=3.0, ramp=1.5, begin=6.3, duration=15.0),
+        gait=shaken,
+        lidar=LidarModel(beams=32, columns=512, elevation_deg=(-30.0, 30.0), min_range=0.3, max_range=40.0),
+    )
+    yield Scenario(
+        name="start-vehicle",
+        place="street",
+        gait=wheels,
+        walk=Walk(speed=15.0, rest=3.0, ramp=4.0, begin=8.0, duration=15.0),
+    ).thinned(columns=512)
 
 
 SCENARIOS: MappingProxyType[str, Scenario] = MappingProxyType(_registry())

@@ -50,7 +50,7 @@ def test_noise_stays_within_what_rest_may_tell(rng):
 
 def shaken(imu):
     t = (imu.stamps_ns - imu.stamps_ns[0])[:, None] * 1e-9
-    return replace(imu, accel=imu.accel + np.sin(2 * np.pi * 30.0 * t))
+    return replace(imu, accel=imu.accel + np.sin(2 * np.pi * 3.0 * t))
 
 
 def turning(imu):
@@ -101,3 +101,66 @@ def test_two_samples_are_needed(rng):
     assert len(one) == 1
     with pytest.raises(DataError, match="1 IMU samples"):
         assess_stillness(one, CONFIG)
+
+
+def idling(rng, *, hertz, force, rate, duration=1.0):
+    """At rest on an engine: a sinusoid with its second harmonic on every channel, in each its own phase."""
+    imu = resting(rng, duration=duration, gyro_noise=1e-4, accel_noise=1e-3)
+    t = (imu.stamps_ns - imu.stamps_ns[0])[:, None] * 1e-9
+    phase = rng.uniform(0.0, 2.0 * np.pi, (2, 6))
+    wave = np.sin(2.0 * np.pi * hertz * t + phase[0]) + 0.5 * np.sin(4.0 * np.pi * hertz * t + phase[1])
+    return replace(imu, gyro=imu.gyro + rate * wave[:, :3], accel=imu.accel + force * wave[:, 3:])
+
+
+@pytest.mark.parametrize("hertz", [15.0, 27.0, 41.0])
+@pytest.mark.parametrize(("force", "rate"), [(1.0, 0.02), (3.0, 0.1), (0.1, 0.1)])
+def test_an_idling_engine_is_rest_that_vibrates(rng, hertz, force, rate):
+    rest = assess_stillness(idling(rng, hertz=hertz, force=force, rate=rate), CONFIG)
+    assert rest.still
+    assert rest.vibrating
+    assert rest.grade == "fair"
+    assert "vibrating" in rest.remark
+    error = np.linalg.norm(rest.accel_mean - [0.0, 0.0, GRAVITY])
+    assert error < 5.0 * np.sqrt(np.trace(rest.covariance[3:, 3:])) + 2e-3
+    assert np.linalg.norm(rest.gyro_mean) < 5.0 * np.sqrt(np.trace(rest.covariance[:3, :3])) + 1e-4
+
+
+@pytest.mark.parametrize(
+    ("hertz", "force", "rate"), [(1.8, 1.0, 0.1), (3.0, 2.0, 0.3), (27.0, 12.0, 0.1), (5.0, 1.0, 0)]
+)
+def test_walking_and_rattling_are_not_rest(rng, hertz, force, rate):
+    verdict = assess_stillness(idling(rng, hertz=hertz, force=force, rate=rate), CONFIG)
+    assert not verdict.still
+    assert not verdict.vibrating
+    assert verdict.grade == "poor"
+    assert verdict.statistic > 1.0
+
+
+def test_a_turn_on_an_idling_engine_is_motion(rng):
+    imu = idling(rng, hertz=27.0, force=1.0, rate=0.05)
+    turned = replace(imu, gyro=imu.gyro + np.array([0.0, 0.0, 0.15]))
+    verdict = assess_stillness(turned, CONFIG)
+    assert not verdict.still
+    assert "mean rate" in verdict.reason
+
+
+def test_covariance_of_the_means_fits_their_errors():
+    """White noise: mean squared distance of the means from the truth is their number."""
+    squares = []
+    for seed in range(60):
+        rest = assess_stillness(resting(np.random.default_rng(seed)), CONFIG)
+        error = np.concatenate([rest.gyro_mean, rest.accel_mean - [0.0, 0.0, GRAVITY]])
+        squares.append(error @ np.linalg.solve(rest.covariance, error))
+        assert rest.grade == "good"
+        assert rest.statistic < 0.8
+    assert np.mean(squares) == pytest.approx(6.0, abs=4.0 * np.sqrt(12.0 / 60.0))
+
+
+def test_a_short_or_doubtful_rest_is_graded_fair(rng):
+    brief = assess_stillness(resting(rng, duration=0.6), CONFIG)
+    assert (brief.still, brief.grade) == (True, "fair")
+    assert "short" in brief.remark
+    heavy = replace(CONFIG, gravity=GRAVITY + 0.9 * CONFIG.still_gravity_error)
+    doubtful = assess_stillness(resting(rng), heavy)
+    assert (doubtful.still, doubtful.grade) == (True, "fair")
+    assert "border" in doubtful.remark

@@ -4,17 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, Rig, Scan
 from heliograph.lie import s2, so3
 from heliograph.odometry.error_state import local
 from heliograph.odometry.sequencer import Packet
-from heliograph.odometry.start import find_start
+from heliograph.odometry.start import _aligned_state, find_start
 from heliograph.sim import SCENARIOS, simulate
+from moving import CONFIG as EXACT_IMU
+from moving import Trial
 from states import GRAVITY, START_NS, random_rotation
 
 CONFIG = RunConfig()
+EXACT = replace(CONFIG, imu=EXACT_IMU)
 RIG = Rig(T_imu_lidar=np.eye(4), source="test")
 NO_GAIT = {"bounce": 0.0, "lateral": 0.0, "roll_deg": 0.0, "pitch_deg": 0.0, "yaw_deg": 0.0}
 
@@ -139,8 +143,10 @@ def test_constant_speed_looks_still_to_the_imu_but_not_to_the_lidar():
 def test_walking_start_finds_velocity_gravity_and_bias_within_its_sigmas():
     start, truth = start_in({"begin": 12.0, "duration": 1.3}, {})
     (event,) = start.events
-    assert event.code == "start-moving"
-    assert "rest" in event.message
+    assert (event.code, event.severity) == ("start-moving", "info")
+    assert "gyro spread" in event.message
+    assert start.account.verdict == "fair"
+    assert "accelerometer bias x, accelerometer bias y" in event.message
     state = start.state
     down = truth.R_world_body[0].T @ [0.0, 0.0, -1.0]
     found = state.R_odom_imu.T @ state.g_odom / GRAVITY
@@ -166,3 +172,101 @@ def test_start_without_imu_warns_and_knows_no_gravity():
     np.testing.assert_array_equal(start.state.g_odom, 0.0)
     v_imu, v_true = start.state.R_odom_imu.T @ start.state.v_odom, truth.R_world_body[0].T @ truth.v_world[0]
     np.testing.assert_allclose(v_imu, v_true, atol=0.15)
+
+
+def test_start_in_motion_names_what_it_found_and_leaves_the_tilt_to_the_bias():
+    start, truth = start_in({"begin": 9.0, "duration": 1.8}, NO_GAIT)
+    account, state = start.account, start.state
+    assert (account.kind, account.verdict) == ("moving", "fair")
+    assert account.unobservable == ("accelerometer bias x", "accelerometer bias y")
+    assert account.gravity_sigma == pytest.approx(CONFIG.imu.accel_bias_sigma / GRAVITY, rel=0.1)
+    assert account.velocity_sigma < 0.1
+    assert account.accel_scale == pytest.approx(1.0, abs=4.0 * account.accel_scale_sigma)
+    assert account.turned < np.radians(2.0)
+    sigma = np.sqrt(np.diag(state.covariance))
+    assert np.abs(state.covariance[12:15, 15:17] / np.outer(sigma[12:15], sigma[15:17])).max() > 0.8
+    np.testing.assert_array_equal(state.covariance[:6], 0.0)
+    v_imu, v_true = state.R_odom_imu.T @ state.v_odom, truth.R_world_body[0].T @ truth.v_world[0]
+    np.testing.assert_allclose(v_imu, v_true, atol=0.05)
+
+
+def test_the_rough_start_remains_where_nothing_can_be_aligned():
+    """A gyroscope with swapped axes contradicts the LiDAR: no alignment, and the account says so."""
+    scenario = SCENARIOS["start-shaking"].thinned(beams=16, columns=128).varied(walk={"duration": 1.2})
+    simulation, packets, imu = packets_and_imu(scenario)
+    swapped = replace(imu, gyro=imu.gyro[:, [1, 0, 2]])
+    start = find_start(packets, swapped, simulation.rig, CONFIG, threads=1)
+    (event,) = start.events
+    assert start.account.verdict == "poor"
+    assert any(why in start.account.reason for why in ("contradict", "settled", "matched"))
+    assert (event.code, event.severity) == ("start-moving", "warning")
+    assert "2 s at rest" in event.message
+    assert np.sqrt(start.state.covariance[6, 6]) > 0.2
+
+
+def test_unknown_mounting_keeps_a_wide_start():
+    scenario = SCENARIOS["start-turning"].thinned(beams=16, columns=128).varied(walk={"duration": 1.2})
+    simulation, packets, imu = packets_and_imu(scenario)
+    guess = replace(simulation.rig, known=False, sigma_rotation=0.05, sigma_translation=0.1)
+    sure, unsure = (find_start(packets, imu, rig, CONFIG, threads=1).state for rig in (simulation.rig, guess))
+    assert np.sqrt(sure.covariance[6, 6]) < 0.2
+    assert np.sqrt(unsure.covariance[6, 6]) == pytest.approx(0.3)
+    np.testing.assert_allclose(np.diag(unsure.covariance)[17:], [2.5e-3] * 3 + [1e-2] * 3)
+    np.testing.assert_allclose(unsure.v_odom, sure.v_odom, atol=1e-9)
+
+
+def test_vibration_at_rest_needs_the_lidar_to_agree():
+    still, _ = shaken_start({"duration": 1.3})
+    assert still.account.kind == "static"
+    assert still.account.verdict == "fair"
+    assert "vibrating" in still.account.reason
+    assert np.linalg.norm(still.state.v_odom) == 0.0
+    driving, truth = shaken_start({"begin": 9.0, "duration": 1.3})
+    assert driving.account.kind == "moving"
+    v = driving.state.R_odom_imu.T @ driving.state.v_odom
+    np.testing.assert_allclose(v, truth.R_world_body[0].T @ truth.v_world[0], atol=0.15)
+
+
+def shaken_start(walk):
+    """A start on a smooth course with an engine's vibration on the IMU."""
+    scenario = SCENARIOS["warehouse"].thinned(beams=16, columns=128).varied(walk=walk, gait=NO_GAIT)
+    simulation, packets, imu = packets_and_imu(scenario)
+    t = (imu.stamps_ns - imu.stamps_ns[0])[:, None] * 1e-9
+    wave = np.sin(2.0 * np.pi * 27.0 * t + np.arange(6.0))
+    imu = replace(imu, gyro=imu.gyro + 0.05 * wave[:, :3], accel=imu.accel + 1.5 * wave[:, 3:])
+    start = find_start(packets, imu, simulation.rig, CONFIG, threads=1)
+    return start, simulation.truth.motion(np.array([start.state.stamp_ns]))
+
+
+def test_vibration_without_a_lidar_counts_as_motion(rng):
+    imu = resting_imu(rng, up=np.array([0.0, 0.0, 1.0]), gyro_bias=np.zeros(3), accel_bias=np.zeros(3))
+    t = (imu.stamps_ns - imu.stamps_ns[0])[:, None] * 1e-9
+    start = start_of(replace(imu, accel=imu.accel + np.sin(2.0 * np.pi * 27.0 * t)))
+    assert start.account.kind == "moving"
+
+
+def anchored_errors(seed):
+    """Error and covariance (11, 11) of an aligned start: velocity, biases, gravity, seen from its exact first pose."""
+    trial = Trial(seed)
+    state = _aligned_state(trial.found, Rig(T_imu_lidar=trial.T_imu_lidar, source="test"), EXACT)
+    R = state.R_odom_imu @ trial.R.T
+    truth = replace(
+        state,
+        v_odom=R @ trial.v,
+        gyro_bias=state.gyro_bias + trial.error[9:12],
+        accel_bias=state.accel_bias + trial.error[12:15],
+        g_odom=-GRAVITY * state.R_odom_imu @ trial.up_imu,
+    )
+    return local(state, truth)[6:17], state.covariance[6:17, 6:17]
+
+
+def test_attaching_the_frame_to_the_first_pose_keeps_the_covariance_honest(monkeypatch):
+    """With all that the scans said told, squared errors average to their number; with a quarter they stay below."""
+    means = {}
+    for share in (1.0, 0.25):
+        monkeypatch.setattr("heliograph.odometry.start._TOLD_SHARE", share)
+        pairs = [anchored_errors(seed) for seed in range(40)]
+        means[share] = np.mean([error @ np.linalg.solve(P, error) for error, P in pairs])
+    low, high = chi2.ppf([0.0005, 0.9995], 11 * 40) / 40
+    assert low < means[1.0] < high
+    assert means[0.25] < 0.8 * means[1.0]

@@ -1,4 +1,4 @@
-"""The chi-square distribution: how long a whitened residual may be before its factor is doubted."""
+"""The chi-square distribution: how long a whitened residual, and how far off an estimated variance, may be."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TINY = 1e-300
 TERMS = 10_000  # far more than any degree of freedom in use needs: about sqrt(dof) suffice near the median
 
 
-def chi_square_cdf(x: float, dof: int) -> float:
+def chi_square_cdf(x: float, dof: float) -> float:
     """Return the probability that the squared length of `dof` independent unit normals is at most `x`.
 
     It is the regularised incomplete gamma function P(dof/2, x/2), by its power series below the mean and by its
@@ -30,7 +30,7 @@ def chi_square_cdf(x: float, dof: int) -> float:
     return scale * _series(a, z) if z < a + 1.0 else 1.0 - scale * _fraction(a, z)
 
 
-def chi_square_quantile(probability: float, dof: int) -> float:
+def chi_square_quantile(probability: float, dof: float) -> float:
     """Return the x with ``chi_square_cdf(x, dof) == probability``, to about 1e-12 relative.
 
     Newton's method on the distribution function from the cube-root approximation [1]_, kept inside a bracket.
@@ -39,8 +39,8 @@ def chi_square_quantile(probability: float, dof: int) -> float:
     ----------
     probability : float
         In (0, 1).
-    dof : int
-        Degrees of freedom, at least 1.
+    dof : float
+        Degrees of freedom, at least 1; equivalent degrees of freedom need not be whole.
 
     Raises
     ------

@@ -1,0 +1,63 @@
+"""All checks of an IMU, in the order in which causes precede consequences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from heliograph.checks.agreement import check_clock_offset, check_prediction
+from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
+from heliograph.checks.evidence import Evidence, gather
+from heliograph.checks.records import Finding, ImuRecord, LidarMotion
+from heliograph.checks.signals import check_channels, check_saturation, check_vibration
+from heliograph.checks.stamps import (
+    check_clock,
+    check_gaps,
+    check_jitter,
+    check_order,
+    check_rate,
+    check_values,
+)
+from heliograph.checks.units import check_accel_unit, check_gyro_unit
+
+__all__ = ["IMU_CHECKS", "check_imu"]
+
+IMU_CHECKS: tuple[Callable[[Evidence], Finding], ...] = (
+    check_values,
+    check_clock,
+    check_order,
+    check_gaps,
+    check_rate,
+    check_jitter,
+    check_channels,
+    check_saturation,
+    check_accel_unit,
+    check_gyro_unit,
+    check_clock_offset,
+    check_gyro_axes,
+    check_accel_axes,
+    check_mounting,
+    check_vibration,
+    check_prediction,
+)
+"""One function a check; of equally bad findings the earliest is the one to act on first."""
+
+
+def check_imu(imu: ImuRecord, motion: LidarMotion | None = None, why: str = "") -> tuple[Finding, ...]:
+    """Run all checks of an IMU.
+
+    Parameters
+    ----------
+    imu : ImuRecord
+        As recorded.
+    motion : LidarMotion or None
+        What the LiDAR alone saw; without it the checks that compare are ``unknown``.
+    why : str
+        Why there is none, for the findings.
+
+    Returns
+    -------
+    tuple of Finding
+        One a check, in the order of `IMU_CHECKS`.
+    """
+    evidence = gather(imu, motion, why or ("" if motion is not None else "there is no LiDAR to compare with"))
+    return tuple(check(evidence) for check in IMU_CHECKS)

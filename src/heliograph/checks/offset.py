@@ -1,0 +1,132 @@
+"""By how much the IMU's stamps are late against the LiDAR's, roughly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.checks.records import LidarMotion
+from heliograph.checks.windows import orientation_at
+from heliograph.data import ImuBatch
+from heliograph.lie import so3
+
+__all__ = ["ALIKE", "FARTHEST", "WORTH_TELLING", "Offset", "find_offset"]
+
+Array = NDArray[np.float64]
+
+WORTH_TELLING = 0.015
+"""Smaller offsets are left to the calibration [s]."""
+FARTHEST = 10.0
+"""No offset beyond it is looked for [s]."""
+ALIKE = 0.9
+"""Correlation of the angular speeds below which no offset can be told."""
+_SEARCH, _STEP = 0.5, 0.005  # of the offset nearby [s]
+_COARSE = 0.02  # and far away [s]
+_LIVELY = 0.05  # standard deviation of the angular speed below which there is nothing to correlate [rad/s]
+_FEWEST = 20
+_CHANCE = 0.01  # by which correlations differ for no reason
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offset:
+    """A shift of the IMU's stamps against the LiDAR's.
+
+    Parameters
+    ----------
+    seconds, sigma : float
+        Positive where the IMU's stamps are late [s].
+    correlation : float
+        Of the angular speeds at that shift.
+    lively : float
+        Standard deviation of the LiDAR's angular speed [rad/s].
+    """
+
+    seconds: float
+    sigma: float
+    correlation: float
+    lively: float
+
+    @property
+    def told(self) -> bool:
+        """Whether the motion shows it at all."""
+        return self.lively >= _LIVELY and self.correlation >= ALIKE
+
+    @property
+    def significant(self) -> bool:
+        """Whether it is worth telling."""
+        return self.told and abs(self.seconds) >= max(WORTH_TELLING, 3.0 * self.sigma)
+
+
+def find_offset(batch: ImuBatch, motion: LidarMotion, *, near: float | None = None) -> Offset | None:
+    """Return the shift at which the angular speeds correlate best; None where too few scans can be shifted.
+
+    Searched nearby first, and far only where nothing nearby fits: a gait repeats itself.
+
+    Parameters
+    ----------
+    batch : ImuBatch
+        Its gyroscope preferably without bias.
+    motion : LidarMotion
+    near : float
+        Search around this shift only [s].
+    """
+    if near is not None:
+        return _best(batch, motion, near, 10.0 * _STEP, _STEP)
+    nearby = _best(batch, motion, 0.0, _SEARCH, _STEP)
+    if nearby is not None and nearby.correlation >= ALIKE:
+        return nearby
+    overlap = min(batch.stamps_ns[-1], motion.trajectory.stamps_ns[-1]) - max(
+        batch.stamps_ns[0], motion.trajectory.stamps_ns[0]
+    )
+    reach = min(FARTHEST, 0.25 * overlap * 1e-9)
+    far = _best(batch, motion, 0.0, reach, _COARSE) if reach > _SEARCH else None
+    if far is None or far.correlation < ALIKE - 0.1:
+        return nearby
+    return _best(batch, motion, far.seconds, 10.0 * _STEP, _STEP) or nearby
+
+
+def _best(batch: ImuBatch, motion: LidarMotion, center: float, reach: float, step: float) -> Offset | None:
+    stamps, R = motion.trajectory.stamps_ns, motion.trajectory.T_frame_body[:, :3, :3]
+    early, late = round((center - reach) * 1e9), round((center + reach) * 1e9)
+    covered = (stamps + early >= batch.stamps_ns[0]) & (stamps + late <= batch.stamps_ns[-1])
+    whole = covered & motion.tracked
+    pairs = np.flatnonzero(whole[1:] & whole[:-1])
+    if len(pairs) < _FEWEST:
+        return None
+    spans: Array = (stamps[pairs + 1] - stamps[pairs]).astype(np.float64) * 1e-9
+    seen = _speeds(R, pairs, spans)
+    lively = float(np.std(seen))
+    offsets: Array = center + step * np.arange(-round(reach / step), round(reach / step) + 1, dtype=np.float64)
+    # One integration serves all offsets.
+    shifted = stamps[None, :] + np.round(offsets * 1e9).astype(np.int64)[:, None]
+    R_imu = orientation_at(batch, shifted)
+    alike = np.array([_correlation(seen, _speeds(turned, pairs, spans)) for turned in R_imu])
+    best = _nearest_peak(alike, offsets - center)
+    if not 0 < best < len(offsets) - 1:
+        return Offset(seconds=float(offsets[best]), sigma=np.inf, correlation=float(alike[best]), lively=lively)
+    below, peak, above = alike[best - 1 : best + 2]
+    curvature = max((2.0 * peak - below - above) / step**2, 1e-12)
+    offset = float(offsets[best] + (above - below) / (2.0 * curvature * step))
+    sigma = float(np.sqrt(max(1.0 - peak, 1e-6) / (len(pairs) * curvature)))
+    return Offset(seconds=offset, sigma=sigma, correlation=float(peak), lively=lively)
+
+
+def _nearest_peak(alike: Array, shifts: Array) -> int:
+    """Return the peak nearest to no shift among those that chance could have made the highest: gaits repeat."""
+    highest = float(alike.max())
+    inner = np.flatnonzero((alike[1:-1] >= alike[:-2]) & (alike[1:-1] >= alike[2:])) + 1
+    level = [int(k) for k in inner if 1.0 - alike[k] < 2.0 * (1.0 - highest) + _CHANCE]
+    return min(level, key=lambda k: abs(shifts[k]), default=int(alike.argmax()))
+
+
+def _speeds(R: Array, pairs: NDArray[np.intp], spans: Array) -> Array:
+    """Return the angular speeds between neighbouring orientations [rad/s]."""
+    return np.asarray(np.linalg.norm(so3.log(np.swapaxes(R[pairs], -1, -2) @ R[pairs + 1]), axis=1) / spans)
+
+
+def _correlation(a: Array, b: Array) -> float:
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt((a**2).sum() * (b**2).sum()))
+    return float(a @ b) / size if size > 0.0 else 0.0

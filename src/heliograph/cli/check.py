@@ -1,0 +1,168 @@
+"""`heliograph check`: what is wrong with a recording, how badly, and what to do about it."""
+
+from __future__ import annotations
+
+import json as jsonlib
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from heliograph.cli import options
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from heliograph.checks import CheckReport, Finding, Number
+    from heliograph.checkup import Watcher
+    from heliograph.config import RunConfig
+    from heliograph.io import Recording
+
+__all__ = ["check"]
+
+_COLORS = {"ok": "green", "unknown": "dim", "warn": "yellow", "fail": "bold red"}
+
+
+def check(
+    recordings: options.Recordings,
+    imu: Annotated[bool, typer.Option("--imu", help="The checks of the IMU; so far these are all there are.")] = False,  # noqa: ARG001 - the contract's; other groups of checks will come beside it
+    lidar_topic: options.LidarTopic = None,
+    imu_topic: options.ImuTopic = None,
+    extrinsic: options.Extrinsic = None,
+    start: options.Start = None,
+    duration: options.Duration = None,
+    threads: Annotated[
+        int | None, typer.Option("--threads", metavar="N", min=0, help="Default: min(2, cores).")
+    ] = None,
+    config: options.ConfigFile = None,
+    settings: options.Settings = None,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Check a recording's IMU: units, axes, clock, gaps, saturation, vibration, each with a remedy."""
+    from heliograph.checkup import examine_imu
+    from heliograph.pipeline import thread_count
+
+    resolved = options.build_config(
+        config,
+        settings,
+        run={"threads": threads},
+        input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration),
+    )
+    opened, why = _open(recordings, resolved)
+    with opened as recording, _watching(shown=not (quiet or json)) as watch:
+        report = examine_imu(recording, resolved, threads=thread_count(resolved), why=why, watch=watch)
+    if json:
+        from heliograph.output.facts import plain
+
+        typer.echo(jsonlib.dumps(plain(report.as_dict()), allow_nan=False))
+    else:
+        _show(report, quiet=quiet)
+
+
+def _open(paths: list[Path], config: RunConfig) -> tuple[Recording, str]:
+    """Open a recording, without its LiDAR where that is missing or unusable; return why with it."""
+    from heliograph.errors import DataError
+    from heliograph.io import open_recording
+
+    for path in paths:
+        if (path / "run.json").is_file():
+            raise DataError(f"{path} is the folder of a run; give the recording that it was made from")
+    try:
+        return open_recording(paths, config.input), ""
+    except DataError as error:
+        try:
+            return open_recording(paths, config.input, sensors="imu"), f"the LiDAR cannot be used: {error}"
+        except DataError:
+            raise error from None
+
+
+@contextmanager
+def _watching(*, shown: bool) -> Iterator[Watcher]:
+    """Yield what tells the progress on a terminal, and nothing elsewhere."""
+    if not (shown and sys.stderr.isatty()):
+        yield lambda _what, _done: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status("reading the recording") as status:
+        yield lambda what, done: status.update(f"checking: {done} {what}")
+
+
+def _show(report: CheckReport, *, quiet: bool) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+
+    # Where the output goes to a file or a pipe, rows must not be folded at the width of a terminal that is not there.
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 200, soft_wrap=False)
+    if not quiet:
+        _head(console, report)
+        _table(console, report.findings)
+    for event in _list(report.facts.get("events")):
+        console.print(f"[yellow]{event['severity']}:[/] {escape(event['message'])}")
+    console.print(_closing(report))
+
+
+def _head(console: Console, report: CheckReport) -> None:
+    from rich.markup import escape
+
+    facts = report.facts
+    console.print(
+        f"[bold]{escape(report.recording)}[/]  {facts['samples']} IMU samples, {facts['scans']} scans compared over "
+        f"{facts['lidar_seconds']:.1f} s"
+    )
+    for item in _list(facts.get("inferences")):
+        console.print(f"[dim]{escape(item['name'])}: {escape(item['value'])} ({escape(item['evidence'])})[/]")
+
+
+def _table(console: Console, findings: tuple[Finding, ...]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 2, 0, 0))
+    for name in ("check", "verdict", "measured", "limit", "evidence, and what to do"):
+        table.add_column(name, overflow="fold", no_wrap=name in ("verdict", "measured", "limit"))
+    for finding in findings:
+        color = _COLORS[finding.verdict]
+        text = escape(finding.evidence) + (f"\n[{color}]-> {escape(finding.remedy)}[/]" if finding.remedy else "")
+        decided = finding.numbers[0] if finding.numbers else None
+        table.add_row(escape(finding.title), f"[{color}]{finding.verdict}[/]", *_measured(decided), text)
+    console.print()
+    console.print(table)
+    console.print()
+
+
+def _measured(number: Number | None) -> tuple[str, str]:
+    """Return value and limit in words."""
+    if number is None or number.value is None:
+        return "", ""
+    unit = f" {number.unit}" if number.unit else ""
+    return f"{number.value:.3g}{unit}", "" if number.limit is None else f"{number.limit:.3g}{unit}"
+
+
+def _closing(report: CheckReport) -> str:
+    """Return the last line: the verdict, and the remedy of what matters most."""
+    from rich.markup import escape
+
+    from heliograph.checks import worst
+
+    first = worst(report.findings)
+    color = _COLORS[report.verdict]
+    if first is None or report.verdict in ("ok", "unknown"):
+        untold = sum(finding.verdict == "unknown" for finding in report.findings)
+        rest = f"; {untold} of {len(report.findings)} checks could not tell" if untold else ""
+        mend = ", nothing to mend" if report.verdict == "ok" else ""
+        return f"verdict: [{color}]{report.verdict}[/]{mend}{rest}"
+    others = sum(finding.verdict in ("warn", "fail") for finding in report.findings) - 1
+    more = f" ({others} more above)" if others else ""
+    return (
+        f"verdict: [{color}]{report.verdict}[/], {escape(first.title)}: {escape(first.evidence)}\n"
+        f"first: {escape(first.remedy)}{more}"
+    )
+
+
+def _list(value: object) -> list[dict[str, Any]]:
+    return list(value) if isinstance(value, list) else []
