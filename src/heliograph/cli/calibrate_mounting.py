@@ -1,4 +1,4 @@
-"""`heliograph calibrate` without `--noise`: how the LiDAR sits on the IMU and how their clocks agree, with what the motion could tell."""
+"""`heliograph calibrate`: how the LiDAR sits on the IMU, how their clocks agree, and what the motion could tell."""
 
 from __future__ import annotations
 
