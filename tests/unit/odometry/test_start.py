@@ -270,3 +270,25 @@ def test_attaching_the_frame_to_the_first_pose_keeps_the_covariance_honest(monke
     low, high = chi2.ppf([0.0005, 0.9995], 11 * 40) / 40
     assert low < means[1.0] < high
     assert means[0.25] < 0.8 * means[1.0]
+
+
+def test_a_rotation_that_is_uncertain_goes_over_to_velocity_and_gravity(monkeypatch):
+    """Eq. (12) against draws: errors of the alignment, seen from where its true first pose is the state's."""
+    monkeypatch.setattr("heliograph.odometry.start._TOLD_SHARE", 1.0)
+    rng, trial = np.random.default_rng(5), Trial(1)
+    root = np.diag(np.repeat([0.02, 0.01, 0.03, 1e-3, 0.02, 0.02], [3, 3, 3, 3, 3, 2])) @ rng.normal(size=(17, 17))
+    prior = np.repeat([EXACT.imu.gyro_bias_sigma**-2, EXACT.imu.accel_bias_sigma**-2], 3)
+    information = np.zeros((18, 18))
+    information[:17, :17] = np.linalg.inv(root @ root.T / 17.0)
+    covariance = np.linalg.inv(information[:17, :17] + np.diag(np.r_[np.zeros(9), prior, np.zeros(2)]))
+    found = replace(trial.found, information=information)
+    state = _aligned_state(found, Rig(T_imu_lidar=np.eye(4), source="test"), EXACT)
+    errors = []
+    for e in rng.multivariate_normal(np.zeros(17), covariance, size=4000):
+        R = state.R_odom_imu @ (found.R_odom_imu[0] @ so3.exp(e[:3])).T
+        g = R @ (GRAVITY * s2.retract(found.g_odom / GRAVITY, e[15:17]))
+        truth = replace(state, v_odom=R @ (found.v_odom[0] + e[6:9]), g_odom=g)
+        truth = replace(truth, gyro_bias=found.gyro_bias + e[9:12], accel_bias=found.accel_bias + e[12:15])
+        errors.append(local(state, truth)[6:17])
+    whitened = np.linalg.solve(np.linalg.cholesky(state.covariance[6:17, 6:17]), np.array(errors).T)
+    np.testing.assert_allclose(np.cov(whitened), np.eye(11), atol=0.15)
