@@ -159,8 +159,8 @@ def test_a_pose_of_the_lidar_swings_the_imu_on_its_lever_arm(rng):
     """Eq. (2) against draws."""
     T_imu_lidar = se3.from_rotation_translation(so3.exp([0.3, -0.5, 0.9]), np.array([0.6, -0.3, 0.2]))
     T = np.tile(se3.exp(rng.normal(size=6)), (3, 1, 1))
-    root = np.diag(np.repeat([0.02, 0.01], 3)) @ rng.normal(size=(6, 6))
-    P = root @ root.T
+    root = np.diag(np.repeat([2e-3, 2e-2], 3)) @ rng.uniform(0.2, 1.0, (6, 6))
+    P = root @ root.T + np.diag(np.repeat([1e-6, 1e-4], 3))
     poses = Trajectory(stamps_ns=np.arange(3) * 100_000_000, T_frame_body=T, body="lidar")
     _, (R, p, information) = _measurements(poses, np.tile(P, (3, 1, 1)), T_imu_lidar, None)
     np.testing.assert_allclose(R[0], T[0, :3, :3] @ T_imu_lidar[:3, :3].T, atol=1e-12)
