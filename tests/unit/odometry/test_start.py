@@ -11,7 +11,7 @@ from heliograph.data import ImuBatch, Rig, Scan
 from heliograph.lie import s2, so3
 from heliograph.odometry.error_state import local
 from heliograph.odometry.sequencer import Packet
-from heliograph.odometry.start import _aligned_state, find_start
+from heliograph.odometry.start import _aligned_state, find_start, look
 from heliograph.sim import SCENARIOS, simulate
 from moving import CONFIG as EXACT_IMU
 from moving import Trial
@@ -225,6 +225,17 @@ def test_vibration_at_rest_needs_the_lidar_to_agree():
     assert driving.account.kind == "moving"
     v = driving.state.R_odom_imu.T @ driving.state.v_odom
     np.testing.assert_allclose(v, truth.R_world_body[0].T @ truth.v_world[0], atol=0.15)
+
+
+@pytest.mark.parametrize("speed", [25.0, pytest.param(33.0, marks=pytest.mark.slow)])
+def test_a_car_on_a_smooth_road_is_not_taken_for_resting(speed):
+    walk = {"speed": speed, "begin": 7.2, "duration": 1.3}
+    scenario = SCENARIOS["start-vehicle"].thinned(beams=32, columns=256).varied(walk=walk)
+    simulation, packets, imu = packets_and_imu(scenario, seed=4)
+    first = look(packets, imu, simulation.rig, CONFIG, threads=1)
+    assert first.rest.still
+    assert not first.still
+    np.testing.assert_allclose(first.moved.v_imu, [speed, 0.0, 0.0], atol=0.3)
 
 
 def shaken_start(walk):
