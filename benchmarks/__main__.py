@@ -9,14 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import graph, graph_incremental, graph_scale, kitti, speed, start, table
+from benchmarks import graph, graph_incremental, graph_scale, imu, imu_gnss, kitti, speed, start, table
 from benchmarks.rivals import ADAPTERS
 
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
-_ALL = ("kitti", "sharpness", "speed", "start", "graph", "graph-scale", "graph-incremental", "graph-incremental-scale")
-_NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental")
-_RUNS = {"speed": 5, "start": 3, "graph": 7, "graph-scale": 1, "graph-incremental": 5}
+_GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale")
+_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss")
+_NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss")
+_RUNS = {"imu": 20, "speed": 5, "start": 3, "graph": 7, "graph-scale": 1, "graph-incremental": 5}
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
 
@@ -99,6 +100,11 @@ def main() -> None:
     if "start" in wanted:
         names, seeds = list(start.START_CASES), arguments.runs or _RUNS["start"]
         _write("start", start.compare_starts(arguments.work, ours / "heliograph", names=names, runs=seeds))
+    rival = arguments.rival_bin / "python"
+    if "imu" in wanted:
+        _write("imu", imu.measure(arguments.work, rival, runs=arguments.runs or _RUNS["imu"]))
+    if "imu-gnss" in wanted:
+        _write("imu_gnss", imu_gnss.compare(arguments.data.parent / "kitti_00", arguments.work, rival))
     if any(name.startswith("graph") for name in wanted):
         _graphs(arguments, wanted)
     table.write_table(_RESULTS, _ROOT / "benchmarks" / "BENCHMARKS.md")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.graph_table import graph_section, graph_summary, scale_section
+from benchmarks.imu_table import gnss_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.start import start_section
 
@@ -21,6 +22,8 @@ _OTHER_SECTIONS = {
     "graph_scale": scale_section,
     "graph_incremental": incremental_section,
     "graph_incremental_scale": incremental_scale_section,
+    "imu": preintegration_section,
+    "imu_gnss": gnss_section,
 }
 
 

@@ -86,7 +86,7 @@ void bind_graph_tree(nb::module_& m) {
       .def("has_factors", [](const BayesTree& t, const Indices& f) { return t.has_factors(span_of(f)); }, "factors"_a.noconvert())
       .def("weigh_factors", [](BayesTree& t, const Indices& f, const Doubles& w) { t.weigh_factors(span_of(f), span_of(w)); },
            "factors"_a.noconvert(), "weights"_a.noconvert())
-      .def("relinearize", &BayesTree::relinearize, "threshold"_a, "most"_a = kNoLimit)
+      .def("relinearize", &BayesTree::relinearize, "threshold"_a, "most"_a = kNoLimit, "farthest_first"_a = true)
       .def("find_fluid", &BayesTree::find_fluid, "threshold"_a)
       .def("detach", [](BayesTree& t) { unlocked([&] { t.detach(); }); })
       .def("stale_factors", [](const BayesTree& t, int kind) { return numbers(t.stale_factors(kind)); }, "kind"_a)
@@ -109,9 +109,9 @@ void bind_graph_tree(nb::module_& m) {
       .def("made", [](const BayesTree& t) { return numbers(std::vector<int32_t>(t.made())); })
       .def("save", &save)
       .def("load", &load, "state"_a)
-      .def("solve", [](BayesTree& t, double wildfire, double threshold, size_t most, size_t reach) {
-        unlocked([&] { t.solve(wildfire, threshold, most, reach); });
-      }, "wildfire"_a, "threshold"_a, "most"_a, "reach"_a)
+      .def("solve", [](BayesTree& t, double wildfire, double threshold, size_t most, size_t later) {
+        return unlocked([&] { return t.solve(wildfire, threshold, most, later); });
+      }, "wildfire"_a, "threshold"_a, "most"_a, "later"_a)
       .def("finish_steps", [](BayesTree& t) { unlocked([&] { t.finish_steps(); }); })
       .def_prop_ro("deferred", &BayesTree::deferred)
       .def("counts", &counts)

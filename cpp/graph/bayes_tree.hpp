@@ -78,7 +78,8 @@ class BayesTree {
 
   // --- one update, step by step ---
   // Variables whose step is longer than the threshold take it into their linearisation point; returns how many.
-  size_t relinearize(double threshold, size_t most);
+  // At most so many: the farthest first, or those first that were found first, which lie near each other in the tree.
+  size_t relinearize(double threshold, size_t most, bool farthest_first);
   // Looks through all variables for steps longer than the threshold, where it is lower than the one that `solve` was told.
   void find_fluid(double threshold);
   // Takes down every clique on the way from a touched variable to the root.
@@ -95,8 +96,8 @@ class BayesTree {
   // Undoes everything since the last update ended: the tree is as it was then, to the bit.
   void undo() { roll_back(); }
   // Steps from the root down, as far as they change by more than `wildfire`; beyond about `most` variables they are put off.
-  // What was put off before goes on where this solve itself came to `reach` variables.
-  void solve(double wildfire, double relinearize_threshold, size_t most, size_t reach);
+  // Of what was put off before, `later` are done within the same limit. Returns how many of those were.
+  size_t solve(double wildfire, double relinearize_threshold, size_t most, size_t later);
   void finish_steps();  // all that was put off
 
   // --- what leaves ---

@@ -111,9 +111,11 @@ void BayesTree::catch_up(size_t most) {
     carry_down(stack, most);
   }
   deferred_.erase(deferred_.begin(), deferred_.begin() + static_cast<std::ptrdiff_t>(done));
+  if (deferred_.size() > cliques())  // cliques that were made anew meanwhile
+    std::erase_if(deferred_, [&](int32_t c) { return cliques_[static_cast<size_t>(c)].deferred == 0; });
 }
 
-void BayesTree::solve(double wildfire, double relinearize_threshold, size_t most, size_t reach) {
+size_t BayesTree::solve(double wildfire, double relinearize_threshold, size_t most, size_t later) {
   ++solve_number_;
   wildfire_ = wildfire;
   fluid_threshold_ = relinearize_threshold;
@@ -125,8 +127,10 @@ void BayesTree::solve(double wildfire, double relinearize_threshold, size_t most
   for (const int32_t c : roots_)  // parts of the graph that an earlier slice was done with
     if (cliques_[static_cast<size_t>(c)].unsolved != 0) stack.push_back(c);
   carry_down(stack, most);
-  if (counts_.solved >= reach) catch_up(most);
+  const size_t own = counts_.solved;
+  catch_up(own + std::min(later, most > own ? most - own : 0));
   wildfire_ = wildfire;
+  return counts_.solved - own;
 }
 
 void BayesTree::finish_steps() {

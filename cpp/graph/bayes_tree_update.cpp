@@ -48,21 +48,22 @@ void BayesTree::flag_with(int32_t variable) {
   }
 }
 
-size_t BayesTree::relinearize(double threshold, size_t most) {
+size_t BayesTree::relinearize(double threshold, size_t most, bool farthest_first) {
   std::vector<int32_t> kept;
   size_t count = 0;
   fluid_before_ = fluid_;
   looked_at_fluid_ = true;
-  if (fluid_.size() > most)  // the farthest first, where not all may be taken
+  if (farthest_first && fluid_.size() > most)
     std::stable_sort(fluid_.begin(), fluid_.end(), [&](int32_t a, int32_t b) { return longest_element(a) > longest_element(b); });
-  for (const int32_t v : fluid_) {
+  for (size_t i = 0; i < fluid_.size(); ++i) {
+    const int32_t v = fluid_[i];
+    if (count >= most) {
+      kept.assign(fluid_.begin() + static_cast<std::ptrdiff_t>(i), fluid_.end());
+      break;
+    }
     const double length = longest_element(v);
     if (length <= threshold || length == 0.0) {
       fluid_flag_[static_cast<size_t>(v)] = 0;
-      continue;
-    }
-    if (count >= most) {
-      kept.push_back(v);
       continue;
     }
     fluid_flag_[static_cast<size_t>(v)] = 0;

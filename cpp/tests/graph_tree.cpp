@@ -59,7 +59,7 @@ class Pair {
   }
 
   int32_t update() {
-    tree.relinearize(0.0, kAll);
+    tree.relinearize(0.0, kAll, true);
     tree.detach();
     tree.reorder();
     const int32_t failed = tree.eliminate(kAll);

@@ -80,6 +80,14 @@ def test_filter_or_smoother_agree_until_the_loop_closes():
     assert most > 1.0
 
 
+def test_imu_and_fixes_are_smoothed_from_a_start_in_motion():
+    text = _run("imu_gnss.py")
+    assert text.startswith("converged")
+    assert _numbers(r"within ([\d.]+) m", text)[0] < 0.7
+    bias, sigma = _numbers(r"([\d.]+)(?= \+-|\ rad)", text)
+    assert abs(bias - 0.004) < 4.0 * sigma
+
+
 @pytest.mark.slow
 def test_tunnel_degeneracy_points_along_the_tunnel(tmp_path):
     text = _run("tunnel_degeneracy.py", tmp_path / "figure.png", 20)

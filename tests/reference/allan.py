@@ -1,11 +1,11 @@
-"""The overlapping Allan deviation as its definition reads: every pair of neighbouring averages, no running sums."""
+"""The overlapping Allan deviation as its definition reads: pairs of neighbouring averages, no running sums."""
 
 import numpy as np
 
 
-def allan_deviation_slowly(signal, m):
+def allan_deviation_slowly(signal, m, every=1):
     averages = np.array([signal[i : i + m].mean() for i in range(len(signal) - m + 1)])
-    differences = averages[m:] - averages[:-m]
+    differences = (averages[m:] - averages[:-m])[::every]
     return np.sqrt(0.5 * np.mean(differences**2))
 
 

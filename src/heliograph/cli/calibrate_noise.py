@@ -6,6 +6,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from heliograph.cli.noise_charts import TERM_UNITS, noise_charts
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -19,13 +21,6 @@ __all__ = ["calibrate_noise", "noise_command", "noise_config", "noise_facts", "n
 
 _CONFIG = "noise.toml"
 _AXES = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accel") for axis in "xyz")
-_UNITS = {
-    "quantisation": ("rad", "m/s"),
-    "white": ("rad/s/√Hz", "m/s²/√Hz"),
-    "flicker": ("rad/s", "m/s²"),
-    "walk": ("rad/s²/√Hz", "m/s³/√Hz"),
-    "ramp": ("rad/s²", "m/s³"),
-}
 _LETTERS = {"quantisation": "Q", "white": "N", "flicker": "B", "walk": "K", "ramp": "R"}
 
 
@@ -107,7 +102,6 @@ def _written(
 ) -> tuple[list[str], dict[str, Any]]:
     """Write the files; return lines and facts."""
     from heliograph.atomic import write_text
-    from heliograph.cli.noise_charts import noise_charts
 
     files = {_CONFIG: noise_config(result, config, name), **noise_charts(result)}
     for file, content in files.items():
@@ -202,13 +196,10 @@ def noise_lines(result: NoiseCalibration) -> list[str]:
     """Return the result in words: a table of the axes, the densities for a filter, the remarks."""
     lines = [f"{result.duration:.1f} s at {result.rate:.4g} Hz; read from {_evidence(result)}"]
     lines += _rest_table(result) if result.rest is not None else _motion_table(result)
-    for sensor, found, units in (
-        ("gyro", result.gyro, ("rad/s/√Hz", "rad/s²/√Hz")),
-        ("accel", result.accel, ("m/s²/√Hz", "m/s³/√Hz")),
-    ):
-        white = _value(found.white, found.white_sigma, found.white_upper, units[0])
-        walk = _value(found.walk, found.walk_sigma, found.walk_upper, units[1])
-        lines.append(f"{sensor}, root mean square of the axes: white noise {white}, random walk {walk}")
+    for sensor, found in (("gyro", result.gyro), ("accel", result.accel)):
+        white = _value(found.white, found.white_sigma, found.white_upper, TERM_UNITS["white"][sensor])
+        walk = _value(found.walk, found.walk_sigma, found.walk_upper, TERM_UNITS["walk"][sensor])
+        lines.append(f"{sensor} for a filter: white noise {white}, random walk that stands for flicker too {walk}")
     lines += [f"{event.severity}: {event.message}" for event in result.events]
     return lines
 
@@ -239,7 +230,10 @@ def _rest_table(result: NoiseCalibration) -> list[str]:
         floor = f"{result.rest.floor[k]:.3g} at {result.rest.floor_tau[k]:.3g} s"
         rows.append([_AXES[k], *cells, floor])
     for k, sensor in enumerate(("gyro", "accel")):
-        rows.insert(1 + 4 * k, [sensor, *(f"[{units[k]}]" for units in _UNITS.values()), f"[{_UNITS['flicker'][k]}]"])
+        rows.insert(
+            1 + 4 * k,
+            [sensor, *(f"[{TERM_UNITS[name][sensor]}]" for name in _LETTERS), f"[{TERM_UNITS['flicker'][sensor]}]"],
+        )
     unclear = [_AXES[k] for k, channel in enumerate(result.rest.channels) if not channel.told_apart]
     remark = f"{', '.join(unclear)}: a slow drift is seen, but flicker and walk cannot be told apart; record longer"
     return [*_aligned(rows), *([remark] if unclear else [])]
@@ -254,8 +248,8 @@ def _motion_table(result: NoiseCalibration) -> list[str]:
             float(motion.density[k]) if motion.flat[k] else None, float(motion.sigma[k]), _motion_upper(motion, k)
         )
         rows.append([name, white, f"{motion.band[k, 0]:.3g} to {motion.band[k, 1]:.3g} Hz", f"{motion.loud[k]:.3g}"])
-    for k, units in enumerate(_UNITS["white"]):
-        rows.insert(1 + 4 * k, [("gyro", "accel")[k], f"[{units}]", "", f"[{units}]"])
+    for k, (sensor, unit) in enumerate(TERM_UNITS["white"].items()):
+        rows.insert(1 + 4 * k, [sensor, f"[{unit}]", "", f"[{unit}]"])
     return _aligned(rows)
 
 

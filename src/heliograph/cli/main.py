@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from heliograph.cli import check, demo, evaluate, info, run, simulate, solve
+from heliograph.cli import calibrate, check, demo, evaluate, info, run, simulate, solve
 from heliograph.errors import HeliographError
 
 __all__ = ["app", "main"]
@@ -33,6 +33,7 @@ app.command("run", short_help="Recording in, trajectory and map out: the main jo
 app.command("info", short_help="What a recording holds and what was inferred from it.")(info.info)
 app.command("check", short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
 app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
+app.command("calibrate", short_help="The noise of a recording's IMU.")(calibrate.calibrate)
 app.command("solve", short_help="A pose graph in, its most likely poses out.")(solve.solve)
 app.command("simulate", short_help="A recording with ground truth.")(simulate.simulate)
 app.command("demo", short_help="Simulate, map, evaluate: see it work.")(demo.demo)

@@ -11,10 +11,18 @@ if TYPE_CHECKING:
     from heliograph.imu.white_floor import WhiteFloor
     from heliograph.report.loglog import Curve, Guide
 
-__all__ = ["noise_charts"]
+__all__ = ["TERM_UNITS", "noise_charts"]
 
 _NAMES = {"gyro": "Gyroscope", "accel": "Accelerometer"}
 _UNITS = {"gyro": "rad/s", "accel": "m/s²"}
+TERM_UNITS = {
+    "quantisation": {"gyro": "rad", "accel": "m/s"},
+    "white": {"gyro": "rad/s/√Hz", "accel": "m/s²/√Hz"},
+    "flicker": {"gyro": "rad/s", "accel": "m/s²"},
+    "walk": {"gyro": "rad/s²/√Hz", "accel": "m/s³/√Hz"},
+    "ramp": {"gyro": "rad/s²", "accel": "m/s³"},
+}
+"""Units of the coefficients of `heliograph.imu.noise_terms.TERMS` and the ramp."""
 
 
 def noise_charts(result: NoiseCalibration) -> dict[str, str]:
@@ -38,11 +46,7 @@ def _allan_chart(rest: RestNoise, sensor: str, first: int, rate: float) -> str:
     for k, axis in enumerate("xyz"):
         channel = rest.channels[first + k]
         low, high = rest.intervals[first + k].T
-        curves.append(
-            Curve(
-                x=tau, y=rest.curve.deviation[:, first + k], low=low, high=high, color=k + 1, label=f"{axis} measured"
-            )
-        )
+        curves.append(Curve(x=tau, y=rest.curve.deviation[:, first + k], low=low, high=high, color=k + 1, label=axis))
         if channel.model:
             parts = allan_variance(channel.model, tau, rest.curve.period)
             fitted = np.sqrt(sum(parts.values(), np.zeros_like(tau)))
@@ -63,14 +67,14 @@ def _guides(rest: RestNoise, sensor: str, first: int) -> list[Guide]:
     from heliograph.imu.noise_terms import FLICKER_FLOOR
     from heliograph.report.loglog import Guide
 
-    unit, guides = _UNITS[sensor], []
+    guides = []
     tau = rest.curve.tau
     middle = float(np.exp(np.mean(np.log(rest.floor_tau[first : first + 3]))))
     for name, letter, at, slope, gain, words in (
-        ("white", "N", 1.0, -0.5, 1.0, f"{unit}/√Hz, slope −½"),
-        ("flicker", "B", middle, 0.0, FLICKER_FLOOR, f"{unit}, level 0.664 B"),
-        ("walk", "K", 3.0, 0.5, 1.0, f"{unit}/s/√Hz, slope +½"),
-        ("quantisation", "Q", float(tau[0]), -1.0, 3.0**0.5 / float(tau[0]), f"{unit}·s, slope −1"),
+        ("white", "N", 1.0, -0.5, 1.0, "slope −½"),
+        ("flicker", "B", middle, 0.0, FLICKER_FLOOR, "level 0.664 B"),
+        ("walk", "K", 3.0, 0.5, 1.0, "slope +½"),
+        ("quantisation", "Q", float(tau[0]), -1.0, 3.0**0.5 / float(tau[0]), "slope −1"),
     ):
         values = [rest.channels[k].term(name).value for k in range(first, first + 3)]
         seen = [value for value in values if value is not None]
@@ -79,7 +83,8 @@ def _guides(rest: RestNoise, sensor: str, first: int) -> list[Guide]:
             # A read-off point outside the record or far below the curves is moved along its line to where it shows.
             at_shown = _shown_at(rest, first, at, value * gain, slope)
             y = value * gain * (at_shown / at) ** slope
-            guides.append(Guide(x=at_shown, y=y, slope=slope, name=f"{letter} {value:.2g} {words}"))
+            title = f"{letter} {value:.2g} {TERM_UNITS[name][sensor]}, {words}"
+            guides.append(Guide(x=at_shown, y=y, slope=slope, name=title, below=name == "quantisation"))
     return guides
 
 

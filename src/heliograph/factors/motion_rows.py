@@ -80,8 +80,11 @@ def linear_range(motion: Preintegration) -> Array:
 def _mean_force(motion: Preintegration) -> Array:
     """Return the mean length of the specific force over each interval, (N,) [m/s^2]."""
     first, last = _sample_range(motion)
-    total = np.concatenate([[0.0], np.cumsum(np.linalg.norm(motion.imu.accel, axis=1))])
-    return np.asarray((total[last] - total[first]) / (last - first))
+    if not len(first):
+        return np.zeros(0)
+    begin = int(first.min())  # one interval of a long recording does not pay for all of it
+    total = np.concatenate([[0.0], np.cumsum(np.linalg.norm(motion.imu.accel[begin : last.max()], axis=1))])
+    return np.asarray((total[last - begin] - total[first - begin]) / (last - first))
 
 
 def _sample_range(motion: Preintegration) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -28,7 +28,9 @@ Ints = NDArray[np.int32]
 _UNBOUNDED = 1 << 40
 # What is worth repeating within the same update: multiplications of its elimination, variables whose step it computed.
 _LIGHT, _FEW = 2e6, 5000
-_REACH = 100  # variables whose step an update computed that goes on with what was put off
+# Of what may be relinearised or solved in one update, one part of so many is granted with each for what was put off; it
+# is spent when one part of so many has been saved up, so that most updates, those of one pose, stay short.
+_GRANTED, _WORTH = 16, 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +50,9 @@ class ISAM2Settings:
         updates, or until they are read: what is read is never old. A loop over a drive of a million poses moves all of
         them, and is no reason to wait. All are computed where a threshold is zero, where convergence is asked for, and
         in an update without factors.
+    most_relinearized : int
+        So many variables are linearised anew in one update; the others wait. Later updates take up a sixteenth of this
+        and of ``most_steps`` each, gathered to quarters. Exceptions as for ``most_steps``.
 
     Raises
     ------
@@ -59,10 +64,11 @@ class ISAM2Settings:
     relinearize_skip: int = 1
     wildfire: float = 1e-3
     most_steps: int = 10_000
+    most_relinearized: int = 10_000
 
     def __post_init__(self) -> None:
         check_range(self, "relinearize_threshold", "wildfire", low=0.0)
-        check_range(self, "relinearize_skip", "most_steps", low=1)
+        check_range(self, "relinearize_skip", "most_steps", "most_relinearized", low=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,6 +144,7 @@ class ISAM2:
         self.settings = settings or ISAM2Settings()
         self._state = TreeState()
         self._updates = 0
+        self._savings = _Savings(self.settings)
 
     def update(
         self,
@@ -171,7 +178,7 @@ class ISAM2:
             is not divided). What is left is ``pending``: the next updates go on with it, whatever they add. Meanwhile
             old variables keep their estimate and new ones the value they came with; steps are computed when the last
             part is done. An update without the bound does all that is pending. Not bounded: an update that removes or
-            switches factors, the ordering, and the back-substitution.
+            switches factors, and the ordering.
 
         Raises
         ------
@@ -203,9 +210,10 @@ class ISAM2:
             if passes >= most_iterations:
                 break
             tree.find_fluid(iterate)
-            work = _sum(work, self._pass(iterate, 0.0, None, None, clock, most))
+            work = _sum(work, self._pass(iterate, 0.0, None, None, clock, most, True))
             passes += 1
         self._updates += 1
+        self._savings.grant()
         return UpdateResult(
             factors=added,
             relinearized=work[0],
@@ -235,7 +243,7 @@ class ISAM2:
         """Do steps 2 to 7 once; return the counts of what was done."""
         tree = self._state.native
         due = threshold < np.inf and not tree.waiting  # never in the middle of an elimination
-        marked = tree.relinearize(threshold, most) if due else 0  # 2. fluid relinearisation
+        marked = self._relinearize(threshold, most, whole) if due else 0  # 2. fluid relinearisation
         clock.lap("relinearize")
         tree.detach()  # 3. the top of the tree is taken down
         self._state.evaluate_custom()
@@ -247,21 +255,30 @@ class ISAM2:
         if failed >= 0:
             raise UnderconstrainedError(self._state.refused(failed, graph, values))
         self._state.settle()
+        self._savings.spend(0, marked)
         if not tree.waiting:
             self._carry_down(wildfire, most, whole)  # 7. wildfire
         clock.lap("solve")
         return [marked, *tree.counts()]
 
+    def _relinearize(self, threshold: float, most: int, whole: bool) -> int:
+        """Linearise anew what has moved: all, so many as the caller allows, or what has been saved up for it."""
+        tree = self._state.native
+        if whole or threshold == 0.0 or self.settings.wildfire == 0.0 or most != _UNBOUNDED:
+            return tree.relinearize(threshold, most)
+        due = self._savings.due(0, tree.fluid)
+        return tree.relinearize(threshold, due, farthest_first=False) if due else 0
+
     def _carry_down(self, wildfire: float, most: int, whole: bool) -> None:
         """Compute steps: so many as the settings and the caller allow, or all where an exact step is asked for."""
-        settings = self.settings
+        settings, tree = self.settings, self._state.native
         if whole or wildfire == 0.0 or settings.relinearize_threshold == 0.0:
-            self._state.native.solve(wildfire, settings.relinearize_threshold, _UNBOUNDED, 0)
-            return
-        # What was put off goes on in updates that are long anyway, not in those that add one pose; in all, where the
-        # caller bounds them.
-        reach = _REACH if most == _UNBOUNDED else 0
-        self._state.native.solve(wildfire, settings.relinearize_threshold, min(settings.most_steps, most), reach)
+            tree.solve(wildfire, settings.relinearize_threshold, _UNBOUNDED, _UNBOUNDED)
+        elif most != _UNBOUNDED:
+            tree.solve(wildfire, settings.relinearize_threshold, min(settings.most_steps, most), _UNBOUNDED)
+        else:
+            later = self._savings.due(1, _UNBOUNDED if tree.deferred else 0)
+            self._savings.spend(1, tree.solve(wildfire, settings.relinearize_threshold, settings.most_steps, later))
 
     def _light(self) -> bool:
         """Return whether the last pass was so cheap that another one within the same update is worth it."""
@@ -336,7 +353,11 @@ class ISAM2:
         OutputError
             The file cannot be written.
         """
-        write_state(path, state_arrays(self._state), {"settings": asdict(self.settings), "updates": self._updates})
+        write_state(
+            path,
+            state_arrays(self._state),
+            {"settings": asdict(self.settings), "updates": self._updates, "savings": self._savings.left},
+        )
 
     @classmethod
     def load(cls, path: Path | str, *, factors: Iterable[type[Factor]] = ()) -> ISAM2:
@@ -357,10 +378,16 @@ class ISAM2:
             It holds factors whose class was not given, or does not fit.
         """
         state, contents = read_state(path, factors)
-        return _restored(ISAM2Settings(**contents["settings"]), contents["updates"], state)
+        return _restored(ISAM2Settings(**contents["settings"]), contents["updates"], contents["savings"], state)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _unpickled, (self.settings, self._updates, state_arrays(self._state), self._state.own_factors())
+        return _unpickled, (
+            self.settings,
+            self._updates,
+            self._savings.left,
+            state_arrays(self._state),
+            self._state.own_factors(),
+        )
 
     @property
     def bytes(self) -> int:
@@ -375,20 +402,47 @@ class ISAM2:
         return self._state.values() if keys is None else self._state.at(keys)
 
 
-def _restored(settings: ISAM2Settings, updates: int, state: TreeState) -> ISAM2:
+def _restored(settings: ISAM2Settings, updates: int, savings: list[int], state: TreeState) -> ISAM2:
     smoother = ISAM2(settings)
-    smoother._state, smoother._updates = state, updates
+    smoother._state, smoother._updates, smoother._savings.left = state, updates, list(savings)
     return smoother
 
 
 def _unpickled(
-    settings: ISAM2Settings, updates: int, arrays: dict[str, NDArray[Any]], own: tuple[type[Factor], ...]
+    settings: ISAM2Settings,
+    updates: int,
+    savings: list[int],
+    arrays: dict[str, NDArray[Any]],
+    own: tuple[type[Factor], ...],
 ) -> ISAM2:
-    return _restored(settings, updates, state_from(arrays, own))
+    return _restored(settings, updates, savings, state_from(arrays, own))
 
 
 def _sum(a: list[int], b: list[int]) -> list[int]:
     return [old + new for old, new in zip(a, b, strict=True)]
+
+
+class _Savings:
+    """What updates may spend on work that earlier ones put off: on relinearisation (0) and on steps (1)."""
+
+    __slots__ = ("_limits", "left")
+
+    def __init__(self, settings: ISAM2Settings) -> None:
+        self._limits = (settings.most_relinearized, settings.most_steps)
+        self.left = list(self._limits)
+
+    def grant(self) -> None:
+        """Add an update's part."""
+        self.left = [min(n, left + max(n // _GRANTED, 1)) for n, left in zip(self._limits, self.left, strict=True)]
+
+    def due(self, kind: int, wanted: int) -> int:
+        """Return what may be spent now."""
+        limit = self._limits[kind]
+        return self.left[kind] if wanted and self.left[kind] >= min(wanted, limit // _WORTH) else 0
+
+    def spend(self, kind: int, count: int) -> None:
+        """Take off what was done."""
+        self.left[kind] = max(self.left[kind] - count, 0)
 
 
 class _Clock:

@@ -22,7 +22,7 @@ from heliograph.graph.tree_state import Own, TreeState
 
 __all__ = ["read_state", "state_arrays", "state_from", "write_state"]
 
-VERSION = 1
+VERSION = 2
 
 _Arrays = dict[str, NDArray[Any]]
 
@@ -140,7 +140,7 @@ def read_state(path: Path | str, factors: Iterable[type[Factor]]) -> tuple[TreeS
     Raises
     ------
     FormatError
-        The file is no such state, is damaged, or a later version wrote it.
+        The file is no such state, is damaged, or another version wrote it.
     GraphError
         It holds factors whose class was not given, or does not fit.
     """
@@ -152,6 +152,10 @@ def read_state(path: Path | str, factors: Iterable[type[Factor]]) -> tuple[TreeS
         if about["version"] > VERSION:
             raise FormatError(
                 path, f"was written by a later version ({about['version']} > {VERSION}); update Heliograph"
+            )
+        if about["version"] < VERSION:
+            raise FormatError(
+                path, f"was written by an earlier version ({about['version']} < {VERSION}); replay the graph"
             )
         return state_from(arrays, factors), about
     except OSError as error:

@@ -1,6 +1,8 @@
 """Inertial model: start, propagation and preintegration."""
 
+from heliograph.imu.filled import drop_filled
 from heliograph.imu.motion_start import Excitation, MotionStart, align_motion
+from heliograph.imu.position_start import PositionStart, start_from_positions
 from heliograph.imu.preintegration import Preintegration, preintegrate
 from heliograph.imu.propagation import ImuPath, propagate
 from heliograph.imu.static_start import StaticStart, assess_stillness
@@ -9,10 +11,13 @@ __all__ = [
     "Excitation",
     "ImuPath",
     "MotionStart",
+    "PositionStart",
     "Preintegration",
     "StaticStart",
     "align_motion",
     "assess_stillness",
+    "drop_filled",
     "preintegrate",
     "propagate",
+    "start_from_positions",
 ]

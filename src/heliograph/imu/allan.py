@@ -17,7 +17,7 @@ __all__ = ["AllanCurve", "allan_curve", "degrees_of_freedom"]
 Array = NDArray[np.float64]
 
 _PER_OCTAVE = 4  # averaging times
-_OVERLAP = 16  # differences taken within one averaging time; more of them tell nothing new
+_OVERLAP = 8  # differences taken within one averaging time; more of them tell nothing new
 _INNER = 0.6827  # probability inside one sigma
 
 
@@ -89,8 +89,8 @@ def allan_curve(grid: Grid) -> AllanCurve:
     Notes
     -----
     Eq. (4) of docs/theory/noise.md (Riley, NIST SP 1065, eq. 11): with θ the running sum of the signal, the mean of
-    ``(θ[i+2m] - 2 θ[i+m] + θ[i])^2`` over ``2 m^2``. Above sixteen samples not every offset i is used: differences
-    a sixteenth of the averaging time apart already hold all there is, so the time taken does not grow with the number
+    ``(θ[i+2m] - 2 θ[i+m] + θ[i])^2`` over ``2 m^2``. Above eight samples not every offset i is used: differences
+    an eighth of the averaging time apart already hold all there is, so the time taken does not grow with the number
     of averaging times. Stretches are pooled by their numbers of differences.
     """
     longest = max((len(stretch) for stretch in grid.stretches), default=0)
@@ -100,16 +100,9 @@ def allan_curve(grid: Grid) -> AllanCurve:
     sizes = np.unique(np.rint(2.0**octaves).astype(np.int64))
     total, terms = np.zeros((len(sizes), 6)), np.zeros(len(sizes), np.int64)
     for stretch in grid.stretches:
-        # The mean is taken off first: the sum of hours of 9.8 m/s^2 would leave few digits for the noise.
-        centred = stretch.samples - stretch.samples.mean(axis=0)
-        angle = np.concatenate([np.zeros((1, 6)), np.cumsum(centred, axis=0)])
-        for k, m in enumerate(sizes.tolist()):
-            every = max(m // _OVERLAP, 1)
-            first, middle, last = angle[: -2 * m : every], angle[m:-m:every], angle[2 * m :: every]
-            if len(last):
-                difference = last - 2.0 * middle + first
-                total[k] += np.einsum("ij,ij->j", difference, difference) / (2.0 * m**2)
-                terms[k] += len(difference)
+        for channel in range(6):
+            total[:, channel] += _summed_squares(stretch.samples[:, channel], sizes)
+        terms += np.maximum((len(stretch) - 2 * sizes) // _strides(sizes) + 1, 0)
     used = terms > 0
     return AllanCurve(
         tau=np.asarray(grid.period * sizes[used], dtype=np.float64),
@@ -118,6 +111,24 @@ def allan_curve(grid: Grid) -> AllanCurve:
         lengths=np.array([len(stretch) for stretch in grid.stretches], dtype=np.int64),
         period=grid.period,
     )
+
+
+def _strides(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.maximum(sizes // _OVERLAP, 1)
+
+
+def _summed_squares(signal: Array, sizes: NDArray[np.int64]) -> Array:
+    """Return the sum in eq. (4) over ``2 m^2`` for each size, 0 where the signal is too short."""
+    # The mean is taken off first: the sum of hours of 9.8 m/s^2 would leave few digits for the noise.
+    angle = np.concatenate([np.zeros(1), np.cumsum(signal - signal.mean())])
+    total = np.zeros(len(sizes))
+    for k, (m, every) in enumerate(zip(sizes.tolist(), _strides(sizes).tolist(), strict=True)):
+        if len(signal) >= 2 * m:
+            middle = angle[m : len(angle) - m : every]
+            difference = angle[2 * m :: every] + angle[: len(angle) - 2 * m : every]
+            difference -= 2.0 * middle
+            total[k] = float(difference @ difference) / (2.0 * m**2)
+    return total
 
 
 def degrees_of_freedom(noise: str, phases: int, m: int) -> float:

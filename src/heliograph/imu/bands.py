@@ -96,13 +96,24 @@ def band_spectrum(signals: Sequence[Array], period: float) -> Bands:
 def cosine_coefficients(signal: Array) -> Array:
     """Return the orthonormal DCT-II of a signal without its first (the mean), (n - 1,).
 
-    One complex FFT of the signal's even samples and its odd ones backwards (J. Makhoul, "A fast cosine transform in one
+    One FFT of the signal's even samples and its odd ones backwards (J. Makhoul, "A fast cosine transform in one
     and two dimensions", IEEE Trans. ASSP 28, 1980).
     """
     n = len(signal)
     folded = np.concatenate([signal[::2], signal[1::2][::-1]])
-    turned = np.fft.fft(folded) * np.exp(-0.5j * np.pi * np.arange(n) / n)
-    return np.asarray(np.sqrt(2.0 / n) * turned.real[1:])
+    turned = np.fft.rfft(folded)
+    turned *= np.exp(-0.5j * np.pi * np.arange(len(turned)) / n)
+    coefficients = np.empty(n)
+    coefficients[: len(turned)] = turned.real
+    coefficients[len(turned) :] = -turned.imag[1 : n - len(turned) + 1][::-1]  # coefficient n - k hides beside k
+    return np.asarray(np.sqrt(2.0 / n) * coefficients[1:])
+
+
+def ramp_coefficients(n: int, count: int) -> Array:
+    """Return the first ``count`` of what `cosine_coefficients` makes of 0, 1, ..., n - 1, in closed form."""
+    k = np.arange(1, count + 1)
+    half = 0.5 * np.pi * k / n
+    return np.where(k % 2 == 1, -np.sqrt(0.5 / n) * np.cos(half) / np.sin(half) ** 2, 0.0)
 
 
 def _stretch_bands(signal: Array, period: float) -> tuple[Array, Array, Array, Array, Array, list[float]]:
@@ -111,8 +122,7 @@ def _stretch_bands(signal: Array, period: float) -> tuple[Array, Array, Array, A
     root = np.sqrt(period) * cosine_coefficients(signal - signal.mean())
     frequency = np.arange(1, n) / (2.0 * n * period)
     single = min(_SINGLE, n - 1)
-    time = period * np.arange(n)
-    ramp = np.sqrt(period) * cosine_coefficients(time - time.mean())[:single]
+    ramp = period**1.5 * ramp_coefficients(n, single)
     power = root[single:] ** 2
     line = np.zeros(len(power), dtype=bool)
     line[_FIRST_LINE:] = _lines(power[_FIRST_LINE:])

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 _SEEN = 9.0  # twice the gain in log-likelihood that a term must bring: by chance once in 740 records
 _BOUND = 2.706  # the same, for a one-sided bound that holds with 95 %
 _TOLD_APART = 6.0  # the same by which one of flicker and walk must beat the other: one is twenty times as likely
+_WORTH = 2.0  # the same, for a term that is worth its coefficient without being shown (Akaike)
 _RAMP_SEEN, _RAMP_BOUND = 3.0, 1.645
 _SLOW = ("flicker", "walk")
 _TOP_OCTAVES = 4  # that may be given up where the sensor's filter bends the spectrum
@@ -103,13 +104,19 @@ def fit_channel(bands: Bands) -> ChannelNoise:
         return _silent(float(bands.frequency.max()))
     used, fit, told_apart = _trimmed(bands)
     simple, _ = _selected(used, ("quantisation", "white", "walk"))
-    terms = tuple(_estimate(name, fit, used, told_apart) for name in TERMS)
+    shown = [name for name in fit.names if told_apart or name not in _SLOW]
+    if any(name in _SLOW for name in fit.names):
+        # A walk too weak to be shown still adds to what would else all be taken for flicker, and the other way round.
+        both = maximise(used, [name for name in TERMS if name in fit.names or name in _SLOW], fit)
+        if not told_apart or 2.0 * (both.log_likelihood - fit.log_likelihood) > _WORTH:
+            fit = both
+    terms = tuple(_estimate(name, fit, used, shown) for name in TERMS)
     walk = next(term for term in terms if term.name == "walk")
     return ChannelNoise(
         terms=(*terms, _ramp(fit, walk, used)),
         model=dict(zip(fit.names, fit.squares.tolist(), strict=True)),
         told_apart=told_apart,
-        walk_of_filter=_estimate("walk", simple, used, True),
+        walk_of_filter=_estimate("walk", simple, used, simple.names),
         top=float(used.frequency.max()),
         misfit=float(np.expm1(_worst(used, fit))),
         lines=used.lines,
@@ -167,15 +174,13 @@ def _selected(bands: Bands, names: Sequence[str]) -> tuple[Fit, bool]:
     return fit, 2.0 * (fit.log_likelihood - other.log_likelihood) >= _TOLD_APART
 
 
-def _estimate(name: str, fit: Fit, bands: Bands, told_apart: bool) -> TermEstimate:
-    unclear = name in _SLOW and not told_apart
-    if name in fit.names and not unclear:
+def _estimate(name: str, fit: Fit, bands: Bands, shown: Sequence[str]) -> TermEstimate:
+    if name in shown:
         k = fit.names.index(name)
         value = float(np.sqrt(fit.squares[k]))
         spread = 0.5 * float(np.sqrt(fit.log_covariance[k, k]))
         return TermEstimate(name=name, value=value, sigma=value * spread, upper=value * float(np.exp(1.645 * spread)))
-    others = {*fit.names, *(_SLOW if unclear else ())} - {name}
-    upper = _upper(name, [other for other in TERMS if other in others], fit, bands)
+    upper = _upper(name, [other for other in fit.names if other != name], fit, bands)
     return TermEstimate(name=name, value=None, sigma=None, upper=upper)
 
 

@@ -19,6 +19,7 @@ _ROUNDS, _HALVINGS = 60, 12
 _LONGEST_STEP = 2.0  # of the logarithm of a squared coefficient
 _SETTLED = 1e-7  # gain in log-likelihood that ends the search
 _NOTHING = 1e-30
+_TRACE = 1e-3  # share of the density, where it is largest, below which a term ended at nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,15 +96,24 @@ def maximise(bands: Bands, names: Sequence[str], start: Fit | None = None, *, fi
         gain, squares, point = there.value - point.value, trial, there
         if gain < _SETTLED:
             break
-    information = point.information * np.outer(squares, squares)
     return Fit(
         names=tuple(names),
         squares=squares,
-        log_covariance=np.asarray(np.linalg.pinv(information, hermitian=True), dtype=np.float64),
+        log_covariance=_log_covariance(point, squares, shapes, rest),
         ramp=point.ramp,
         ramp_sigma=point.ramp_sigma,
         log_likelihood=point.value,
     )
+
+
+def _log_covariance(point: _Point, squares: Array, shapes: Array, rest: Array) -> Array:
+    """Return the inverse information of the logarithms; a term that ended at nothing takes no part and gets zeros."""
+    share = (squares[:, None] * shapes / (rest + squares @ shapes)).max(axis=1)
+    active = np.ix_(share > _TRACE, share > _TRACE)
+    information = (point.information * np.outer(squares, squares))[active]
+    covariance = np.zeros((len(squares), len(squares)))
+    covariance[active] = np.linalg.pinv(information, hermitian=True)
+    return covariance
 
 
 def _start(bands: Bands, names: Sequence[str], shapes: Array, start: Fit | None) -> Array:

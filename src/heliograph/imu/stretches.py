@@ -21,6 +21,7 @@ _FILL = 5  # samples missing in a row that are interpolated; more of them split 
 _EVEN = 0.05  # steps within this share of the usual one are even
 _PERIOD_SPAN = 1000  # steps over which one estimate of the period is taken, so that jitter hardly enters it
 _WINDOW, _LEAST_SAMPLES = 0.5, 8  # length of one look at the signal [s], and samples in it
+_AVERAGED = 0.02  # what the limits of stillness are held against is averaged over so long [s]
 _LEAST_REST = 5.0  # shortest stretch of rest that is used [s]
 _QUIET_SHARE, _LOUDER = 0.2, 3.0  # this share of the windows is taken for quiet, the rest may be so much louder
 _JUMP = 8.0  # a mean may change by so many of its usual changes from one window to the next
@@ -156,7 +157,8 @@ def still_stretches(grid: Grid, config: ImuConfig) -> Grid:
     sigmas = np.concatenate([sigma for _, sigma in windows]).reshape(-1, 6)
     if not len(means):
         return replace(grid, stretches=())
-    calm = _within_limits(means, sigmas, config)
+    slow = np.concatenate([_slow_spread(stretch.samples, size, grid.period) for stretch in grid.stretches])
+    calm = _within_limits(means, slow, config)
     if not calm.any():
         return replace(grid, stretches=())
     counts = np.cumsum([0, *(len(mean) for mean, _ in windows)])
@@ -182,6 +184,18 @@ def _windows(samples: Array, size: int) -> tuple[Array, Array]:
     count = len(samples) // size
     blocks = samples[: count * size].reshape(count, size, 6)
     return blocks.mean(axis=1), blocks.std(axis=1)
+
+
+def _slow_spread(samples: Array, size: int, period: float) -> Array:
+    """Return the standard deviations of 20 ms averages in each window, (w, 6).
+
+    The limits of stillness are meant for motion. White noise of single samples grows with the rate: at 1 kHz that of a
+    common IMU would pass for motion by itself.
+    """
+    part = min(max(round(_AVERAGED / period), 1), size // _LEAST_SAMPLES)
+    count, parts = len(samples) // size, size // part
+    blocks = samples[: count * size].reshape(count, size, 6)[:, : parts * part]
+    return np.asarray(blocks.reshape(count, parts, part, 6).mean(axis=2).std(axis=1))
 
 
 def _within_limits(means: Array, sigmas: Array, config: ImuConfig) -> Flags:

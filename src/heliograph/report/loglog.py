@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 _WIDTH, _HEIGHT = 860, 560
 _LEFT, _RIGHT, _TOP, _BOTTOM = 78, 24, 96, 56
+_LETTER = 7.3  # usual width of a bold letter of a guide's name
 _STYLE = """
 svg{color-scheme:light dark;--bg:#fff;--ink:#18202b;--soft:#5b6675;--line:#c6ccd5;--grid:#e9ecf0;--fine:#f4f5f8;
 --c1:#2f6fd0;--c2:#1f9d8a;--c3:#c77a12;font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans",sans-serif;
@@ -75,12 +76,15 @@ class Guide:
         On the logarithmic axes.
     name : str
         Written beside the point.
+    below : bool
+        Write it below even where the line falls, because the curves are above.
     """
 
     x: float
     y: float
     slope: float
     name: str
+    below: bool = False
 
 
 def loglog_svg(
@@ -215,10 +219,11 @@ def _name_of(guide: Guide, x_axis: Axis, y_axis: Axis) -> list[str]:
     if not x_axis.low <= guide.x <= x_axis.high:
         return []
     x, y = float(x_axis(guide.x)), float(y_axis(guide.y))
-    anchor = "end" if x > 0.72 * _WIDTH else "start"
+    # A falling curve leaves the side above its point free, to the right; a level or rising one that below.
+    falling = guide.slope < 0.0 and not guide.below
+    anchor = "end" if x + 12.0 + _LETTER * len(guide.name) > _WIDTH - 6.0 else "start"
     dx = -12.0 if anchor == "end" else 12.0
-    # The curves pass on the side of the slope: above right of a falling one is free, and below left of it.
-    above = 22.0 if (anchor == "end") == (guide.slope < 0.0) else -10.0
+    above = -10.0 if falling and anchor == "start" else 20.0
     return [
         f'<circle class="dot" cx="{x:.1f}" cy="{y:.1f}" r="4"/>',
         text(x + dx, min(y + above, _HEIGHT - _BOTTOM - 6.0), guide.name, kind="name", anchor=anchor),

@@ -143,6 +143,26 @@ def test_a_long_drive_ends_at_the_optimum():
     assert costs[0] == pytest.approx(costs[1], rel=1e-9)
 
 
-def test_the_limit_is_at_least_one():
-    with pytest.raises(ConfigError, match="most_steps"):
-        ISAM2Settings(most_steps=0)
+def test_relinearisation_is_limited_and_caught_up_with():
+    limit, results = 64, []
+    smoother = ISAM2(ISAM2Settings(relinearize_threshold=0.05, wildfire=1e-10, most_relinearized=limit))
+    for _, result in round_trip(10_000, smoother=smoother):
+        results.append(result)
+    counts = np.array([result.relinearized for result in results])
+    assert counts.max() <= limit
+    assert any(result.pending for result in results)
+    # At most a sixteenth of the limit an update in the long run, in parts that are worth an elimination.
+    assert np.all(np.cumsum(counts) <= limit + limit // 16 * np.arange(1, len(counts) + 1))
+    waited = np.array([result.pending > 0 for result in results[:-1]])
+    assert np.count_nonzero(counts[1:][waited] == 0) > 3
+    assert smoother.update().pending == 0 or smoother.update().pending == 0
+    *_, (free, _) = round_trip(10_000)
+    for one in (smoother, free):
+        one.update(iterate=1e-11)
+    np.testing.assert_allclose(smoother.estimate(np.arange(N)).matrix, free.estimate(np.arange(N)).matrix, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["most_steps", "most_relinearized"])
+def test_limits_are_at_least_one(name):
+    with pytest.raises(ConfigError, match=name):
+        ISAM2Settings(**{name: 0})

@@ -31,9 +31,9 @@ def test_allan_deviation_equals_its_definition(rng):
     curve = allan_curve(grid)
     for k, tau in enumerate(curve.tau):
         m = round(tau / PERIOD)
-        slow = [allan_deviation_slowly(channel, m) for channel in grid.stretches[0].samples.T]
-        # From 32 samples on every second difference is left out, so there the two only estimate the same.
-        np.testing.assert_allclose(curve.deviation[k], slow, rtol=1e-9 if m < 32 else 0.15)
+        slow = [allan_deviation_slowly(channel, m, max(m // 8, 1)) for channel in grid.stretches[0].samples.T]
+        np.testing.assert_allclose(curve.deviation[k], slow, rtol=1e-9)
+        assert curve.terms[k] == len(range(0, 300 - 2 * m + 1, max(m // 8, 1)))
 
 
 def test_allan_deviation_of_a_ramp_is_its_closed_form():

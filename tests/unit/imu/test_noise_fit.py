@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import fft, optimize, stats
 
-from heliograph.imu.bands import band_spectrum, cosine_coefficients
+from heliograph.imu.bands import band_spectrum, cosine_coefficients, ramp_coefficients
 from heliograph.imu.noise_fit import fit_channel
 from heliograph.imu.noise_likelihood import maximise
 from heliograph.imu.noise_terms import TERMS, allan_variance, spectrum, term_spectra
@@ -40,6 +40,11 @@ def test_cosine_coefficients_equal_their_definition(rng, n):
     signal = rng.normal(size=n)
     np.testing.assert_allclose(cosine_coefficients(signal), cosine_coefficients_slowly(signal), atol=1e-11)
     np.testing.assert_allclose(cosine_coefficients(signal), fft.dct(signal, norm="ortho")[1:], atol=1e-11)
+
+
+@pytest.mark.parametrize("n", [2, 3, 8, 33])
+def test_ramp_coefficients_equal_the_transform_of_a_ramp(n):
+    np.testing.assert_allclose(ramp_coefficients(n, n - 1), cosine_coefficients(np.arange(float(n))), atol=1e-12 * n**2)
 
 
 def test_walk_through_white_noise_is_diagonal_in_the_cosine_basis():
@@ -78,6 +83,22 @@ def test_maximum_is_where_a_general_optimiser_finds_it():
     found = optimize.minimize(loss, np.log([0.5, 0.5]), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-10})
     np.testing.assert_allclose(np.log(fit.squares), found.x, atol=1e-3)
     assert fit.log_likelihood == pytest.approx(-found.fun, abs=1e-4)
+
+
+def test_covariance_is_the_inverse_information_of_the_restricted_likelihood():
+    """Eq. (7) with the projector written out as a matrix."""
+    bands = band_spectrum([draw(np.random.default_rng(3), 400, PERIOD, white=1.0, walk=1.0)], PERIOD)
+    fit = maximise(bands, ["white", "walk"])
+    single = bands.count == 1.0
+    shapes = term_spectra(bands.frequency, PERIOD)[[1, 3]]
+    w = 1.0 / (fit.squares @ shapes)
+    r = bands.ramp
+    P = np.diag(w) - np.outer(w * r, w * r) / np.sum(w * r**2)
+    repeated = np.where(single, 0.0, bands.count - 1.0)  # coefficients of a band beyond its first
+    information = np.array(
+        [[0.5 * np.trace(P * a @ P * b) + 0.5 * np.sum(repeated * w**2 * a * b) for a in shapes] for b in shapes]
+    ) * np.outer(fit.squares, fit.squares)
+    np.testing.assert_allclose(fit.log_covariance, np.linalg.inv(information), rtol=1e-6)
 
 
 def test_white_noise_and_walk_are_recovered_within_their_sigmas():
@@ -137,7 +158,7 @@ def test_flicker_and_walk_that_look_alike_are_not_told_apart():
     for channel in unclear:
         assert channel.term("walk").value is None and channel.term("flicker").value is None
         assert channel.walk_of_filter.value is not None
-        assert {"walk", "flicker"} & set(channel.model)
+        assert {"walk", "flicker"} <= set(channel.model)
 
 
 def test_narrow_peaks_are_left_out_and_named(rng):

@@ -96,6 +96,12 @@ def test_rest_is_kept_whole(rng):
     assert spans(still) == [(0.0, pytest.approx(30.0))]
 
 
+def test_rest_of_a_noisy_imu_at_a_high_rate_is_kept(rng):
+    """Its samples spread by 0.06 rad/s and 0.6 m/s^2, twice the limits for motion."""
+    imu = resting_imu(rng, duration=12.0, rate=1000.0, gyro={"white": 2e-3}, accel={"white": 2e-2})
+    assert spans(still_stretches(even_stretches(imu), CONFIG)) == [(0.0, pytest.approx(12.0))]
+
+
 def test_motion_inside_is_cut_out_with_a_margin(rng):
     imu = resting_imu(rng, duration=60.0, rate=RATE)
     t = 1e-9 * (imu.stamps_ns - START_NS)

@@ -60,6 +60,18 @@ def test_density_of_a_drive_is_unbiased_and_within_its_sigma():
     assert np.mean(np.square(errors)) < stats.chi2.ppf(0.9995, 48) / 48
 
 
+def test_sigma_is_that_of_a_mean_of_tapered_windows():
+    """The density of many short records scatters as each of them says."""
+    floors = [
+        white_floor(even_stretches(resting_imu(np.random.default_rng(seed), duration=4.0, rate=200.0)))
+        for seed in range(60)
+    ]
+    density, sigma = (np.stack([getattr(floor, name) for floor in floors]) for name in ("density", "sigma"))
+    wide = np.stack([floor.band for floor in floors])
+    full = (wide[..., 1] - wide[..., 0]) > 90.0  # the same band in all of them
+    assert np.std(density[full[:, 0], 0]) / np.median(sigma[full[:, 0], 0]) == pytest.approx(1.0, abs=0.25)
+
+
 def test_rest_gives_the_same_as_motion(rng):
     imu = resting_imu(rng, duration=60.0, rate=200.0)
     floor = white_floor(even_stretches(imu))
