@@ -37,7 +37,7 @@ def codes(result):
 
 @pytest.fixture(scope="module")
 def resting():
-    return resting_imu(np.random.default_rng(5), duration=600.0, rate=RATE, gyro=GYRO, accel=ACCEL)
+    return resting_imu(np.random.default_rng(5), duration=300.0, rate=RATE, gyro=GYRO, accel=ACCEL)
 
 
 def test_rest_gives_densities_and_walks_for_a_filter(resting):
@@ -46,12 +46,12 @@ def test_rest_gives_densities_and_walks_for_a_filter(resting):
     for found, truth in ((result.gyro, GYRO), (result.accel, ACCEL)):
         assert found.white == pytest.approx(truth["white"], abs=4.0 * found.white_sigma)
         assert found.walk == pytest.approx(truth["walk"], abs=4.0 * found.walk_sigma)
-        assert found.white_sigma < 0.01 * found.white and found.walk_sigma < 0.2 * found.walk
+        assert found.white_sigma < 0.01 * found.white and found.walk_sigma < 0.25 * found.walk
     axes = [channel.term("white") for channel in result.rest.channels[:3]]
     assert result.gyro.white == pytest.approx(np.sqrt(np.mean([axis.value**2 for axis in axes])))
     assert result.gyro.white_sigma == pytest.approx(np.mean([axis.sigma for axis in axes]) / np.sqrt(3.0), rel=0.05)
     assert (result.noise.gyro, result.noise.accel_walk) == (result.gyro.white, result.accel.walk)
-    assert (result.rate, result.duration) == (pytest.approx(RATE), pytest.approx(600.0))
+    assert (result.rate, result.duration) == (pytest.approx(RATE), pytest.approx(300.0))
     assert result.rest.floor.shape == result.rest.floor_tau.shape == (6,)
 
 
@@ -151,7 +151,7 @@ SIGNALS = {
 }
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(
     gyro=st.sampled_from(sorted(SIGNALS)),
     accel=st.sampled_from(sorted(SIGNALS)),
