@@ -65,6 +65,7 @@ class Late:
         yield topic, at, message
 
 
+@pytest.mark.slow
 def test_unit_that_the_reader_converts_is_told(checked):
     report, found = checked(doctor.on_imu(doctor.imu_in_g))
     assert report["verdict"] == "warn" and report["worst"]["code"] == "accel-unit"
@@ -72,6 +73,7 @@ def test_unit_that_the_reader_converts_is_told(checked):
     assert found["imu-prediction"]["verdict"] == "ok"
 
 
+@pytest.mark.slow
 def test_swapped_axes_are_named(checked):
     report, found = checked(doctor.on_imu(swapped))
     assert report["worst"]["code"] == "gyro-axes"

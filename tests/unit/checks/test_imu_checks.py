@@ -63,8 +63,7 @@ def test_every_check_finds_a_sound_recording_ok(sound):
     assert all(finding.evidence and not finding.remedy for finding in found.values())
 
 
-@pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("place", ["room", "warehouse", "tunnel"])
+@pytest.mark.parametrize(("place", "known"), [("room", True), ("warehouse", False), ("tunnel", True)])
 @pytest.mark.parametrize("gait", GAITS)
 def test_sound_recordings_raise_no_alarm(gait, place, known):
     number = list(GAITS).index(gait)
