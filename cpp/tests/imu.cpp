@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT
 #include <cmath>
+#include <limits>
 #include <vector>
 
+#include "imu/motion_factor.hpp"
 #include "imu/propagate.hpp"
 #include "tests/check.hpp"
 
@@ -79,6 +81,34 @@ void check_empty_interval_and_equal_stamps() {
   CHECK(std::isfinite(out.p.back()));
 }
 
+void check_motion_is_that_of_propagation() {
+  const Samples s = constant(11, 10'000'000, {0.3, -0.2, 1.0}, {1.0, 2.0, 9.8});
+  for (const int64_t shift : {-2'000'000'000LL, 0LL, 60'000'000LL, 2'000'000'000LL}) {
+    const ImuBias none{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()};
+    const Preintegrated motion = preintegrate(s.view(), shift, shift + 90'000'000, none, kModel);
+    const Propagation out = propagate(rest(), s.view(), shift, shift + 90'000'000, kModel);
+    const double* p = out.p.data() + out.p.size() - 3;
+    CHECK_NEAR(p[2], motion.delta.p.z() - 9.8 * motion.delta.gravity_s2, 1e-12);
+    CHECK_NEAR(motion.delta.held_s, out.held_s, 1e-12);
+    CHECK(motion.combined.isApprox(motion.combined.transpose()) && motion.covariance.trace() > 0.0);
+  }
+}
+
+// A row of zeros and one sample: what damaged data may hold must not crash.
+void check_motion_factor_survives_odd_rows() {
+  std::vector<double> X(25, 0.0), bias(6, 1.0), g{0, 0, -9.8}, row(MotionRow::kSize, 0.0), samples(kSampleNumbers, 0.0);
+  for (size_t i = 0; i < 25; i += 6) X[i] = 1.0;
+  row[0] = row[4] = row[8] = 1.0;
+  row[MotionRow::kCount] = 1.0;
+  std::vector<double> r(9), by_i(81), by_j(81), by_bias(54), by_gravity(27);
+  for (const double range : {0.0, 1e3, std::numeric_limits<double>::infinity()}) {
+    row[MotionRow::kRange] = range;
+    const MotionFactors factors{1, 1, X.data(), X.data(), bias.data(), g.data(), row.data(), samples.data()};
+    evaluate_motions(factors, r.data(), {by_i.data(), by_j.data(), by_bias.data(), by_gravity.data()});
+    CHECK_NEAR(r[0], 0.0, 1e-12);
+  }
+}
+
 }  // namespace
 
 void check_imu() {
@@ -86,4 +116,6 @@ void check_imu() {
   check_half_turn();
   check_single_sample_before_and_after();
   check_empty_interval_and_equal_stamps();
+  check_motion_is_that_of_propagation();
+  check_motion_factor_survives_odd_rows();
 }

@@ -6,7 +6,16 @@ from dataclasses import dataclass, field
 
 from heliograph.config_checks import check_choice, check_range
 
-__all__ = ["CloudConfig", "FilterConfig", "ImuConfig", "InputConfig", "MapConfig", "OutputConfig", "RunConfig"]
+__all__ = [
+    "CalibrationConfig",
+    "CloudConfig",
+    "FilterConfig",
+    "ImuConfig",
+    "InputConfig",
+    "MapConfig",
+    "OutputConfig",
+    "RunConfig",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -299,6 +308,55 @@ class FilterConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationConfig:
+    """`heliograph calibrate`: what is believed beforehand, and what counts as found.
+
+    Parameters
+    ----------
+    prior_rotation_deg, prior_lever : float
+        One-sigma of the mounting that the calibration starts from, an axis [deg], [m].
+    prior_offset, prior_drift_ppm : float
+        One-sigma of the clock's offset [s] and drift [1e-6].
+    useful_rotation_deg, useful_lever, useful_offset, useful_drift_ppm : float
+        What is known better than this counts as observed [deg], [m], [s], [1e-6].
+    gain : float
+        The motion must tell a direction so many times better than the prior does, or the prior is kept there.
+    search : float
+        Clock offsets looked at, on either side [s].
+    points : int
+        Most points of a scan that are used.
+    matches : int
+        Points to place a scan with.
+    passes : int
+        Most rounds of de-skewing, placing and solving.
+    longest : float
+        Of the recording looked at [s].
+    """
+
+    prior_rotation_deg: float = 5.0
+    prior_lever: float = 0.3
+    prior_offset: float = 0.03
+    prior_drift_ppm: float = 50.0
+    useful_rotation_deg: float = 0.1
+    useful_lever: float = 0.005
+    useful_offset: float = 2.5e-4
+    useful_drift_ppm: float = 20.0
+    gain: float = 3.0
+    search: float = 0.2
+    points: int = 12000
+    matches: int = 2500
+    passes: int = 6
+    longest: float = 90.0
+
+    def __post_init__(self) -> None:
+        check_range(self, "prior_rotation_deg", "prior_lever", "prior_offset", "prior_drift_ppm", above=0.0)
+        check_range(self, "useful_rotation_deg", "useful_lever", "useful_offset", "useful_drift_ppm", above=0.0)
+        check_range(self, "search", "longest", above=0.0)
+        check_range(self, "gain", "passes", low=1)
+        check_range(self, "points", "matches", low=100)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OutputConfig:
     """What a run writes.
 
@@ -343,6 +401,7 @@ class RunConfig:
     cloud: CloudConfig = field(default_factory=CloudConfig)
     map: MapConfig = field(default_factory=MapConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
 
     def __post_init__(self) -> None:

@@ -1,6 +1,7 @@
 """Slow, obvious twin of preintegration: the midpoint rule on given readings, for many drawn ones at once."""
 
 import numpy as np
+from scipy.linalg import logm
 from scipy.spatial.transform import Rotation
 
 
@@ -15,3 +16,18 @@ def integrate_readings(gyro, accel, dt):
         X[:, :3, 4] += dt * a
         X[:, :3, :3] = X[:, :3, :3] @ whole
     return X
+
+
+def motion_residual(X_i, X_j, motion, g):
+    """Return ``Log(delta^-1 seen)`` (9,) of states (5, 5) for one preintegrated interval, as its equations stand."""
+    T, late, twice = motion.duration_s[0], motion.gravity_s[0], motion.gravity_s2[0]
+    fallen = X_i.copy()
+    fallen[:3, 3] += T * X_i[:3, 4] + twice * g
+    fallen[:3, 4] += late * g
+    return log_extended(np.linalg.solve(motion.delta.matrix[0], np.linalg.solve(fallen, X_j)))
+
+
+def log_extended(X):
+    """Matrix logarithm of an extended pose as (rotation, position, velocity)."""
+    L = np.real(logm(X))
+    return np.concatenate([[L[2, 1], L[0, 2], L[1, 0]], L[:3, 3], L[:3, 4]])

@@ -24,6 +24,7 @@ POOR_IMU = {"gyro_bias": 0.05, "accel_bias": 0.3}
 HARD = {
     "whirl": SCENARIOS["start-shaking"].varied(gait=WHIRL, walk={"duration": 8.0}),
     "jump": SCENARIOS["start-constant"].varied(gait=JUMP, walk={"duration": 8.0}),
+    "highway": SCENARIOS["start-vehicle"].varied(walk={"speed": 25.0, "begin": 7.5, "duration": 6.5}),
     "biased constant": SCENARIOS["start-constant"].varied(imu=POOR_IMU),
     "biased shaking": SCENARIOS["start-shaking"].varied(imu=POOR_IMU),
 }

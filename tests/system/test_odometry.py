@@ -157,6 +157,22 @@ def test_recording_that_starts_in_motion_is_warned_about_and_followed():
     assert np.degrees(np.arccos(np.clip(down @ found, -1.0, 1.0))) < 0.7
 
 
+def test_start_in_motion_takes_a_noisy_imu_for_what_it_is():
+    """With five times the configured noise the velocity's error stays within what the filter says."""
+    noisy = {"gyro_noise": 1e-2, "accel_noise": 0.15}
+    simulation = simulate(SMALL.varied(walk={"begin": 9.0, "duration": 8.0}, imu=noisy), 2)
+    results, _ = run(simulation, simulation.rig)
+    truth = truth_of(simulation, results)
+    v_world = simulation.truth.motion(np.array([r.end_ns for r in results])).v_world
+    squares = []
+    for result, T, v in zip(results[10:], truth[10:], v_world[10:], strict=True):
+        R = result.T_odom_imu[:3, :3]
+        error = R.T @ result.v_odom - T[:3, :3].T @ v
+        squares.append(error @ np.linalg.solve(R.T @ result.covariance[6:9, 6:9] @ R, error) / 3.0)
+    assert np.mean(squares) < 2.0  # 4 to 5 with the configured noise
+    assert ate(simulation, results) < 0.03
+
+
 @pytest.mark.parametrize("roll", [45.0, 90.0, 180.0])
 def test_rolled_mount_gives_a_level_floor_and_the_same_accuracy(roll):
     # A short straight walk cannot tell the accelerometer's bias from a tilt, so it is small here and whole in the laps.

@@ -53,10 +53,12 @@ def check_clock_offset(evidence: Evidence) -> Finding:
         Number(name="correlation", value=offset.correlation, limit=ALIKE),
     )
     if not offset.told:
-        text = f"the angular speeds are too even or too unlike to tell (correlation {offset.correlation:.2f})"
+        alike = f"too unlike to tell (correlation {offset.correlation:.2f})"
+        text = f"the angular speeds are {'too even to tell' if offset.correlation >= ALIKE else alike}"
         return Finding(code=code, title=title, verdict="unknown", evidence=text, numbers=numbers)
     late, sigma = 1e3 * offset.seconds, 1e3 * offset.sigma
-    text = f"the angular speeds match best with the IMU's stamps {late:+.0f} ms (+- {max(sigma, 1.0):.0f}) late"
+    way = "late" if late > 0.0 else "early"
+    text = f"the angular speeds match best with the IMU's stamps {abs(late):.0f} ms (+- {max(sigma, 1.0):.0f}) {way}"
     if not offset.significant:
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
     return Finding(

@@ -88,17 +88,16 @@ def check_mounting(evidence: Evidence) -> Finding:
         return _untested(code, title, "the LiDAR sees hardly any turn")
     limit = float(np.degrees(_MOUNTING_WARN))
     numbers = (Number(name="off by", value=float(np.degrees(angle)), unit="deg", limit=limit),)
-    text = (
-        f"{motion.rig.source} is off by {np.degrees(angle):.1f} deg (+- {np.degrees(sigma):.1f}) about the "
-        f"{'three axes' if axes == 3 else f'{axes} axes'} that the turns show"
-    )
+    about = {1: "the one axis", 2: "the two axes", 3: "the three axes"}[axes]
+    text = f"{np.degrees(angle):.1f} deg (+- {np.degrees(sigma):.1f}) about {about} that the turns show"
     if angle < max(_MOUNTING_WARN, 5.0 * sigma):
+        text = f"{motion.rig.source} agrees to {text}"
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
     return Finding(
         code=code,
         title=title,
         verdict="fail" if angle > _MOUNTING_FAIL else "warn",
-        evidence=text,
+        evidence=f"{motion.rig.source} is off by {text}",
         remedy="measure the mounting anew: `heliograph calibrate`, then --extrinsic FILE",
         numbers=numbers,
     )

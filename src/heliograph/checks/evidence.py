@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.checks.clock import clock_steps
 from heliograph.checks.fit import bias_beside
-from heliograph.checks.offset import Offset, find_offset
+from heliograph.checks.offset import FARTHEST, Offset, find_offset
 from heliograph.checks.records import ImuRecord, LidarMotion
 from heliograph.checks.windows import Forces, Turns, forces_over, turns_over, usable
 from heliograph.data import ImuBatch
@@ -72,7 +72,7 @@ def gather(imu: ImuRecord, motion: LidarMotion | None, why: str = "") -> Evidenc
     alone = Evidence(imu=imu, batch=batch, motion=motion, why=why, accel_scale=_accel_scale(batch))
     if motion is None:
         return alone
-    whole = _unbroken(imu, batch)
+    whole = _within(_unbroken(imu, batch), motion)
     gyro_scale = _gyro_scale(whole, motion)
     even = replace(whole, gyro=whole.gyro / gyro_scale, accel=whole.accel / alone.accel_scale)
     turns = turns_over(even, motion, _TURN_SPAN)
@@ -119,6 +119,20 @@ def _gyro_scale(batch: ImuBatch, motion: LidarMotion) -> float:
     return ratio if ratio > 0.0 and not 1.0 / _FAR < ratio < _FAR else 1.0
 
 
+def _within(batch: ImuBatch, motion: LidarMotion) -> ImuBatch:
+    """Return the samples that can be compared, whatever the offset; a long recording has many more."""
+    stamps, margin = motion.trajectory.stamps_ns, round(1e9 * (FARTHEST + 1.0))
+    if not len(stamps):
+        return batch
+    begin, end = np.searchsorted(batch.stamps_ns, [stamps[0] - margin, stamps[-1] + margin])
+    return _part(batch, int(begin), int(end))
+
+
+def _part(batch: ImuBatch, begin: int, end: int) -> ImuBatch:
+    part = slice(begin, end)
+    return replace(batch, stamps_ns=batch.stamps_ns[part], gyro=batch.gyro[part], accel=batch.accel[part])
+
+
 def _unbroken(imu: ImuRecord, batch: ImuBatch) -> ImuBatch:
     """Return the longest stretch of the samples without a step of the clock."""
     steps = clock_steps(imu)[0] if imu.stamp == "header" else np.zeros(0, np.int64)
@@ -126,7 +140,4 @@ def _unbroken(imu: ImuRecord, batch: ImuBatch) -> ImuBatch:
         return batch
     cuts = [0, *np.searchsorted(batch.stamps_ns, imu.stamps_ns[steps]).tolist(), len(batch)]
     begin, end = max(pairwise(cuts), key=lambda piece: piece[1] - piece[0])
-    if end - begin < 2:
-        return batch
-    part = slice(begin, end)
-    return replace(batch, stamps_ns=batch.stamps_ns[part], gyro=batch.gyro[part], accel=batch.accel[part])
+    return _part(batch, begin, end) if end - begin > 1 else batch

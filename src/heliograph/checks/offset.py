@@ -12,16 +12,18 @@ from heliograph.checks.windows import orientation_at
 from heliograph.data import ImuBatch
 from heliograph.lie import so3
 
-__all__ = ["ALIKE", "WORTH_TELLING", "Offset", "find_offset"]
+__all__ = ["ALIKE", "FARTHEST", "WORTH_TELLING", "Offset", "find_offset"]
 
 Array = NDArray[np.float64]
 
 WORTH_TELLING = 0.015
 """Smaller offsets are left to the calibration [s]."""
+FARTHEST = 10.0
+"""No offset beyond it is looked for [s]."""
 ALIKE = 0.9
 """Correlation of the angular speeds below which no offset can be told."""
 _SEARCH, _STEP = 0.5, 0.005  # of the offset nearby [s]
-_FARTHEST, _COARSE = 10.0, 0.02  # and far away [s]
+_COARSE = 0.02  # and far away [s]
 _LIVELY = 0.05  # standard deviation of the angular speed below which there is nothing to correlate [rad/s]
 _FEWEST = 20
 _CHANCE = 0.01  # by which correlations differ for no reason
@@ -78,7 +80,7 @@ def find_offset(batch: ImuBatch, motion: LidarMotion, *, near: float | None = No
     overlap = min(batch.stamps_ns[-1], motion.trajectory.stamps_ns[-1]) - max(
         batch.stamps_ns[0], motion.trajectory.stamps_ns[0]
     )
-    reach = min(_FARTHEST, 0.25 * overlap * 1e-9)
+    reach = min(FARTHEST, 0.25 * overlap * 1e-9)
     far = _best(batch, motion, 0.0, reach, _COARSE) if reach > _SEARCH else None
     if far is None or far.correlation < ALIKE - 0.1:
         return nearby

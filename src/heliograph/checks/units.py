@@ -39,7 +39,7 @@ def check_accel_unit(evidence: Evidence) -> Finding:
         Number(name="off gravity", value=size - GRAVITY, unit="m/s^2", limit=_ACCEL_WARN * GRAVITY),
         Number(name="mean force as recorded", value=raw),
     )
-    seen = f"the mean force is {raw:.4g} as recorded"
+    seen = f"the mean force as recorded is {raw:#.4g}"
     unit = _recognised(GRAVITY / raw if raw > 0.0 else np.inf, _ACCEL_UNITS)
     if unit == imu.accel_unit:
         off = size / GRAVITY - 1.0
@@ -89,7 +89,7 @@ def check_gyro_unit(evidence: Evidence) -> Finding:
         Number(name="scale error", value=scale - 1.0, limit=_GYRO_WARN),
         Number(name="scale as recorded", value=raw),
     )
-    seen = f"it turns {raw:.4g} times as fast as the LiDAR as recorded"
+    seen = f"as recorded it turns {raw:#.4g} times as fast as the LiDAR"
     unit = _recognised(1.0 / raw, _GYRO_UNITS)
     if unit == imu.gyro_unit:
         off = scale - 1.0

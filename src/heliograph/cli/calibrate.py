@@ -1,8 +1,8 @@
 """`heliograph calibrate`: what a recording tells about its own sensors.
 
 Each kind of calibration is a module of its own that measures, writes and prints; this one reads the options and calls
-it. So far there is the noise of the IMU (``--noise``, `heliograph.cli.calibrate_noise.noise_command`). What the command
-does without ``--noise``, mounting and clocks, comes after the first ``if`` of `calibrate`, which stays as it is.
+it: mounting and clock (`heliograph.cli.calibrate_mounting`), or with ``--noise`` the noise of the IMU
+(`heliograph.cli.calibrate_noise`).
 """
 
 from __future__ import annotations
@@ -26,23 +26,30 @@ def calibrate(
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_calibration.")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a calibration in the folder.")] = False,
+    lidar_topic: options.LidarTopic = None,
     imu_topic: options.ImuTopic = None,
+    extrinsic: options.Extrinsic = None,
     start: options.Start = None,
     duration: options.Duration = None,
+    threads: Annotated[int, typer.Option("--threads", metavar="N", min=1, help="For the native loops.")] = 1,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Measure what a recording tells about its own sensors, each number with its uncertainty."""
+    """Find rotation, lever arm and clock of the LiDAR on the IMU, each with its uncertainty, or the IMU's noise.
+
+    Directions that the motion did not excite are named, and keep the mounting to start from: the recording's, or that
+    of --extrinsic.
+    """
+    from heliograph.cli.calibrate_mounting import mounting_command
     from heliograph.cli.calibrate_noise import noise_command
-    from heliograph.errors import ConfigError
 
     resolved = options.build_config(
-        config, settings, input=options.input_options(None, imu_topic, None, start, duration)
+        config, settings, input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration)
     )
     folder = output or Path(f"{recordings[0].resolve().stem}_calibration")
     if noise:
         noise_command(recordings, resolved, folder, overwrite=overwrite, json=json, quiet=quiet)
         return
-    raise ConfigError("say what to calibrate: --noise for the noise of the IMU")
+    mounting_command(recordings, resolved, folder, overwrite=overwrite, threads=threads, json=json, quiet=quiet)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from heliograph.io.info import InfoReport, StreamInfo
 
-__all__ = ["info"]
+__all__ = ["info", "print_table"]
 
 
 def info(
@@ -57,7 +57,7 @@ def _show(report: InfoReport) -> None:
     console.print(f"[bold]{_plain(report.recording)}[/]  {report.duration_s:.1f} s")
     if report.points_per_scan:
         console.print(f"{report.points_per_scan:.0f} points a scan{_plain(fields)}")
-    _table(
+    print_table(
         console,
         ("sensor", "topic", "frame", "messages", "Hz", "seconds", "trouble"),
         [
@@ -65,7 +65,7 @@ def _show(report: InfoReport) -> None:
             for s in report.streams
         ],
     )
-    _table(
+    print_table(
         console,
         ("inferred", "value", "evidence", "from"),
         [(i.name, i.value, i.evidence, i.source) for i in report.inferences],
@@ -73,7 +73,7 @@ def _show(report: InfoReport) -> None:
     used = {stream.topic for stream in report.streams}
     others = [(t.name, t.message_type, t.kind, str(t.count)) for t in report.topics if t.name not in used]
     if others:
-        _table(console, ("other topic", "type", "kind", "messages"), others)
+        print_table(console, ("other topic", "type", "kind", "messages"), others)
     if report.frames:
         console.print(f"tf frames: {_plain(', '.join(report.frames))}")
     if report.has_orientation:
@@ -92,7 +92,8 @@ def _trouble(stream: StreamInfo) -> str:
     return ", ".join(words) or "none"
 
 
-def _table(console: Console, head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
+def print_table(console: Console, head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
+    """Print rows of plain text under a dim head."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 2, 0, 0))

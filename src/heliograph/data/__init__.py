@@ -1,5 +1,6 @@
 """Frozen records that the rooms exchange. No algorithms live here."""
 
+from heliograph.data.clock import ImuClock
 from heliograph.data.event import Event
 from heliograph.data.gnss import GnssFix
 from heliograph.data.imu import ImuBatch, ImuNoise
@@ -14,6 +15,7 @@ __all__ = [
     "Event",
     "GnssFix",
     "ImuBatch",
+    "ImuClock",
     "ImuNoise",
     "NavState",
     "Rig",

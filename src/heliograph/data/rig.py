@@ -1,13 +1,14 @@
-"""How the sensors are mounted."""
+"""How the sensors are mounted, and how their clocks agree."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data.arrays import frozen
+from heliograph.data.clock import ImuClock
 
 __all__ = ["Rig"]
 
@@ -28,6 +29,8 @@ class Rig:
         One-sigma of the mounting rotation about each axis [rad].
     sigma_translation : float
         One-sigma of the lever arm along each axis [m].
+    clock : ImuClock
+        The IMU's clock against the LiDAR's.
     """
 
     T_imu_lidar: NDArray[np.float64]
@@ -35,6 +38,7 @@ class Rig:
     known: bool = True
     sigma_rotation: float = 0.0
     sigma_translation: float = 0.0
+    clock: ImuClock = field(default_factory=ImuClock)
 
     def __post_init__(self) -> None:
         value = frozen("T_imu_lidar", self.T_imu_lidar, np.float64, (4, 4), finite=True)

@@ -1,5 +1,6 @@
-"""Sensor factors: what an inertial unit and a satellite receiver measure, as factors of the graph."""
+"""Sensor factors: what an inertial unit, a LiDAR and a satellite receiver measure, as factors of the graph."""
 
+from heliograph.factors.calibration_prior import CalibrationPrior
 from heliograph.factors.gravity import GravityDirection, GravityVector
 from heliograph.factors.inertial import (
     CombinedImu,
@@ -9,25 +10,30 @@ from heliograph.factors.inertial import (
     PreintegratedImuOnDirection,
     PreintegratedImuOnGravity,
 )
+from heliograph.factors.lidar_pose import LidarPose
 from heliograph.factors.positions import LeverArmPosition, LeverArmPositionOnArm, Velocity
 from heliograph.graph import Factor
 
 __all__ = [
     "SENSOR_FACTORS",
+    "CalibrationPrior",
     "CombinedImu",
     "GravityDirection",
     "GravityVector",
     "LeverArmPosition",
+    "LidarPose",
     "PreintegratedImu",
     "Velocity",
 ]
 
 SENSOR_FACTORS: tuple[type[Factor], ...] = (
+    CalibrationPrior,
     CombinedImu,
     CombinedImuOnDirection,
     CombinedImuOnGravity,
     LeverArmPosition,
     LeverArmPositionOnArm,
+    LidarPose,
     PreintegratedImu,
     PreintegratedImuOnDirection,
     PreintegratedImuOnGravity,

@@ -16,7 +16,8 @@ __all__ = ["WhiteFloor", "noise_in_motion", "white_floor"]
 
 Array = NDArray[np.float64]
 
-_WINDOW, _LEAST_SAMPLES, _USUAL_SAMPLES = 1.0, 32, 128  # length of a spectrum [s], and samples in it
+_WINDOW, _LEAST_SAMPLES, _USUAL_SAMPLES = 1.0, 40, 128  # length of a spectrum [s], and samples in it
+_TINY = 1e-100  # stands in for a level of zero
 _BANDS = 16  # from zero to half the rate, equally wide
 _CALM = 2.0  # a window counts as calm up to so many times the level of the quietest tenth
 _TOLERANCE = 0.1  # bands that differ by less in power are taken as equally high
@@ -100,7 +101,7 @@ def white_floor(grid: Grid) -> WhiteFloor:
     Raises
     ------
     DataError
-        Not a stretch of 32 samples.
+        Not a stretch of 40 samples.
 
     Notes
     -----
@@ -182,7 +183,7 @@ def _read_floor(result: WhiteFloor, channel: int, power: Array, calm: NDArray[np
     width = (edges[last] - edges[first]) / bins
     expected = 2.0 / (share * width)
     # Where the level wanders more from window to window than noise does, its mean is known that much worse.
-    found = float(by_window.var()) / len(by_window) / max(level, 1e-300) ** 2
+    found = float(by_window.var()) / len(by_window) / max(level, _TINY) ** 2
     result.density[channel] = np.sqrt(level)
     result.sigma[channel] = 0.5 * np.sqrt(level) * np.sqrt(max(expected, found))
     result.loud[channel] = np.sqrt(power[:, inside].mean())
@@ -191,7 +192,7 @@ def _read_floor(result: WhiteFloor, channel: int, power: Array, calm: NDArray[np
     # Any sampled spectrum levels off towards half the rate; a slope that is left shows that it comes from below.
     half = (edges[first] + edges[last]) // 2
     lower, upper = (quiet[:, part].mean() for part in (slice(edges[first], half), slice(half, edges[last])))
-    slope = abs(float(np.log(max(lower, 1e-300) / max(upper, 1e-300))))
+    slope = abs(float(np.log(max(lower, _TINY) / max(upper, _TINY))))
     level_off = slope <= _SLOPE + 3.0 * np.sqrt(4.0 * expected)
     result.flat[channel] = last - first >= _FLAT and level > 0.0 and level_off
     result.spectrum[:, channel] = np.sqrt(quiet.mean(axis=0))
@@ -201,7 +202,7 @@ def _floor_range(levels: Array, freedom: Array) -> tuple[int, int]:
     """Return the first band of the floor and the one after its last, eq. (10)."""
     # No real spectrum is flat to the last digit, so a band is not known better than the tolerance.
     nu = 1.0 / (1.0 / freedom + 0.5 * _TOLERANCE**2)
-    levels = np.maximum(levels, 1e-300)
+    levels = np.maximum(levels, _TINY)
     best, chosen = np.inf, (_BANDS - 1, _BANDS)
     for first in range(_BANDS):
         for last in range(first + 1, _BANDS + 1):

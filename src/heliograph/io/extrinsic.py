@@ -1,4 +1,4 @@
-"""The LiDAR-IMU mounting from a user's TOML file."""
+"""The LiDAR-IMU mounting and the IMU's clock in a TOML file: a user's, or what `heliograph calibrate` writes."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 from numpy.typing import NDArray
 
-from heliograph.data import Rig
+from heliograph.atomic import write_text
+from heliograph.data import ImuClock, Rig
 from heliograph.errors import ConfigError, closest
 from heliograph.lie import so3
 
@@ -19,18 +21,22 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-__all__ = ["read_extrinsic"]
+__all__ = ["read_extrinsic", "write_extrinsic"]
 
 _TABLE = "T_imu_lidar"
 _KEYS = ("rotation", "quaternion_xyzw", "translation", "matrix")
+_CLOCK, _CLOCK_KEYS = "clock", ("offset", "drift_ppm", "reference_ns")
+_NOTES = "calibration"  # what a calibration says about itself; for people
 _MAX_DEFECT = 1e-3
+_MAX_DRIFT_PPM = 1e4
 
 
 def read_extrinsic(path: Path | str) -> Rig:
     """Read ``T_imu_lidar`` (``p_imu = T_imu_lidar @ p_lidar``) from a TOML file.
 
     The file holds, in a table ``[T_imu_lidar]`` or at its top, either ``matrix`` (4x4), or ``translation`` (metres)
-    together with ``rotation`` (3x3 by rows, or a quaternion xyzw) or ``quaternion_xyzw``.
+    together with ``rotation`` (3x3 by rows, or a quaternion xyzw) or ``quaternion_xyzw``. A table ``[clock]`` may hold
+    ``offset`` (seconds), ``drift_ppm`` and ``reference_ns``, see `ImuClock`; a table ``[calibration]`` is not read.
 
     Parameters
     ----------
@@ -55,6 +61,11 @@ def read_extrinsic(path: Path | str) -> Rig:
         raise ConfigError(f"extrinsic {path}: cannot be read: {error.strerror}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"extrinsic {path}: is not TOML: {error}") from error
+    clock = _clock(path, content.pop(_CLOCK, {}))
+    content.pop(_NOTES, None)
+    if _TABLE in content and len(content) > 1:
+        other = next(key for key in content if key != _TABLE)
+        raise ConfigError(f"extrinsic {path}: unknown key '{other}'{closest(other, (_TABLE, _CLOCK, _NOTES))}")
     table = content.get(_TABLE, content)
     if not isinstance(table, dict):
         raise ConfigError(f"extrinsic {path}: '{_TABLE}' is no table; write [{_TABLE}] on a line of its own")
@@ -76,7 +87,61 @@ def read_extrinsic(path: Path | str) -> Rig:
         T_imu_lidar[:3, 3] = _numbers(path, table, "translation", (3,))
         T_imu_lidar[:3, :3] = _rotation(path, table, given[0])
     T_imu_lidar[:3, :3] = _orthonormal(path, T_imu_lidar[:3, :3])
-    return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path}")
+    return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path}", clock=clock)
+
+
+def write_extrinsic(path: Path | str, rig: Rig, notes: Mapping[str, Any], *, header: str = "") -> None:
+    """Write a mounting and a clock for `read_extrinsic`.
+
+    Parameters
+    ----------
+    path : Path or str
+        Replaced if it exists, all at once.
+    rig : Rig
+    notes : mapping
+        Plain values for people, in a table ``[calibration]`` that is not read back.
+    header : str
+        Lines of comment at the top, without the marks.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    clock = rig.clock
+    content = {
+        _TABLE: {
+            "translation": rig.T_imu_lidar[:3, 3].tolist(),
+            "quaternion_xyzw": so3.to_quaternion(rig.T_imu_lidar[:3, :3]).tolist(),
+        },
+        _CLOCK: {"offset": clock.offset, "drift_ppm": 1e6 * clock.drift, "reference_ns": clock.reference_ns},
+        _NOTES: dict(notes),
+    }
+    comment = "".join(f"# {line}\n" for line in header.splitlines())
+    write_text(Path(path), comment + tomli_w.dumps(content))
+
+
+def _clock(path: Path, table: object) -> ImuClock:
+    """Return the clock of a table; without one both clocks agree."""
+    if not isinstance(table, dict):
+        raise ConfigError(f"extrinsic {path}: '{_CLOCK}' is no table; write [{_CLOCK}] on a line of its own")
+    unknown = [key for key in table if key not in _CLOCK_KEYS]
+    if unknown:
+        raise ConfigError(
+            f"extrinsic {path}: [{_CLOCK}] has an unknown key '{unknown[0]}'{closest(unknown[0], _CLOCK_KEYS)}"
+        )
+    offset, drift_ppm = (float(_numbers(path, {k: table.get(k, 0.0)}, k, ())) for k in _CLOCK_KEYS[:2])
+    reference_ns = table.get("reference_ns", 0)
+    if isinstance(reference_ns, bool) or not isinstance(reference_ns, int):
+        raise ConfigError(f"extrinsic {path}: 'reference_ns' must be a whole number of nanoseconds")
+    if drift_ppm != 0.0 and "reference_ns" not in table:
+        raise ConfigError(f"extrinsic {path}: [{_CLOCK}] has a drift, so give 'reference_ns': when the offset holds")
+    if abs(drift_ppm) > _MAX_DRIFT_PPM:
+        raise ConfigError(
+            f"extrinsic {path}: a drift of {drift_ppm:g} ppm is none of a clock (at most {_MAX_DRIFT_PPM:g}); "
+            "'drift_ppm' counts millionths"
+        )
+    return ImuClock(offset=offset, drift=1e-6 * drift_ppm, reference_ns=reference_ns)
 
 
 def _rotation(path: Path, table: Mapping[str, Any], key: str) -> NDArray[np.float64]:

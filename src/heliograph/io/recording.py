@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import InputConfig
-from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan
-from heliograph.errors import CalibrationError, DataError, closest
+from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, Rig, Scan
+from heliograph.errors import CalibrationError, ConfigError, DataError, closest
 from heliograph.io.imu_units import is_usable
 from heliograph.io.inference import Inference
 from heliograph.io.interpret import Interpretation, interpret
@@ -24,6 +24,7 @@ from heliograph.io.tally import StreamTally
 
 __all__ = ["Recording", "open_recording"]
 
+_FURTHEST_DRIFT = 0.02  # that a clock found at another time may have gone since [s]
 BATCH = 256  # samples; bounds how long an estimator waits where no scan comes
 Measurement = Scan | ImuBatch | GnssFix
 
@@ -93,6 +94,7 @@ class Recording:
         self.inferences: tuple[Inference, ...] = interpretation.inferences
         self.topics: tuple[TopicInfo, ...] = source.topics
         self.rig: Rig = interpretation.mounting.rig
+        _require_recent(self.rig.clock, interpretation.start_ns)
         names = {"lidar": interpretation.lidar, "imu": interpretation.imu, "gnss": interpretation.gnss}
         self.sensors = frozenset(name for name, topic in names.items() if topic)
 
@@ -225,6 +227,11 @@ class Recording:
             "has_orientation": found.has_orientation,
             "T_imu_lidar": rig.T_imu_lidar.tolist(),
             "mounting": {"source": rig.source, "known": rig.known},
+            "imu_clock": {
+                "offset_s": rig.clock.offset,
+                "drift_ppm": 1e6 * rig.clock.drift,
+                "reference_ns": rig.clock.reference_ns,
+            },
             "inferences": [
                 {"name": i.name, "value": i.value, "evidence": i.evidence, "source": i.source} for i in self.inferences
             ],
@@ -258,7 +265,10 @@ class Recording:
         return self.tally.imu.accept(self._imu_stamp(message), message.received_ns)
 
     def _imu_stamp(self, message: RawImu) -> int:
-        return message.stamp_ns if self.interpretation.imu_stamp == "header" else message.received_ns
+        """Return the sample's time in the LiDAR's clock, which is the recording's."""
+        stamp_ns = message.stamp_ns if self.interpretation.imu_stamp == "header" else message.received_ns
+        clock = self.rig.clock
+        return stamp_ns if clock.exact else int(clock.lidar_time(np.int64(stamp_ns)))
 
     def _accept_cloud(self, message: RawCloud) -> bool:
         stamp_ns = message.stamp_ns if self.interpretation.timing.stamp == "header" else message.received_ns
@@ -305,4 +315,15 @@ class Recording:
             accel=np.array([s.accel for s in samples], dtype=np.float64) * units.accel,
             received_ns=samples[-1].received_ns,
             frame_id=samples[-1].frame_id or "imu",
+        )
+
+
+def _require_recent(clock: ImuClock, start_ns: int) -> None:
+    """Refuse a clock's drift carried on from too long ago: by now the offset may be anything."""
+    away = (start_ns - clock.reference_ns) * 1e-9
+    if abs(clock.drift * away) > _FURTHEST_DRIFT:
+        raise ConfigError(
+            f"the clock of the extrinsic file was found {abs(away) / 3600.0:.1f} h from this recording, in which its "
+            f"drift of {1e6 * clock.drift:.1f} ppm adds up to {clock.drift * away:+.3f} s: calibrate this recording, "
+            "or set drift_ppm = 0 to keep the offset alone"
         )

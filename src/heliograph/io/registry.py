@@ -21,6 +21,7 @@ OPENERS: tuple[tuple[str, str], ...] = (
     ("heliograph.io.pcap", "open_pcap"),
     ("heliograph.io.kitti", "open_kitti"),
     ("heliograph.io.folders", "open_cloud_folder"),
+    ("heliograph.io.imu_files", "open_imu_file"),
 )
 """Module and function of every reader, asked in this order. ``opener(paths)`` returns a `RawSource`, or None for
 another kind."""
@@ -123,5 +124,5 @@ def open_raw_source(paths: Sequence[Path]) -> RawSource:
         source: RawSource | None = opener(paths)
         if source is not None:
             return source
-    known = "ROS 1 or 2 bag, MCAP, pcap, KITTI folder, folder of PCD or PLY"
+    known = "ROS 1 or 2 bag, MCAP, pcap, KITTI folder, folder of PCD or PLY, IMU table"
     raise FormatError(paths[0], f"not a recording that Heliograph reads ({known})")

@@ -36,6 +36,8 @@ _FEWEST_POSES = 5
 # Passes, each de-skewed with what the one before it found, until the velocity stays [m/s].
 _MOST_PASSES = 5
 _SAME_SPEED = 0.02
+# Speeds that a LiDAR is told of which is blind along its way and matches fewer than this share of its points [m/s].
+_TRIED_SPEEDS, _TRIED_SCANS, _FEW = (12.0, 24.0, 36.0, -12.0, -24.0, -36.0), 5, 0.5
 _FAST = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
 _SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
 
@@ -99,23 +101,52 @@ def constant_velocity_state(
 
 
 def lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: int) -> LidarMotion | None:
-    """Run the constant-velocity filter over the first scans, and again with its first map de-skewed."""
+    """Run the constant-velocity filter over the first scans, and again with its first map de-skewed.
+
+    Between houses a LiDAR that is told to expect rest sees rest at any speed beyond two metres a scan: the walls along
+    the way fit everywhere. What gives that away is that it is blind along the way while most points find nothing; then
+    it is told of higher speeds, and follows the one that matches more points.
+    """
     scans = scans_of(packets)
     if len(scans) < 3:
         return None
-    moved: LidarMotion | None = None
-    for _ in range(2):
-        zero = np.zeros(3)
-        v, rate = (moved.v_imu, moved.rate_imu) if moved is not None else (zero, zero)
+
+    def run(v: Array, rate: Array, count: int) -> list[ScanResult]:
         state = constant_velocity_state(scans[0].stamp_ns, v, rate, UNKNOWN_SPEED, UNKNOWN_RATE, rig)
         core = FilterCore(state, MotionModel(config.imu, config.filter, None), config, threads=threads)
-        results = [core.process(scan, NO_IMU) for scan in scans]
+        return [core.process(scan, NO_IMU) for scan in scans[:count]]
+
+    zero = np.zeros(3)
+    results = run(zero, zero, len(scans))
+    if (along := _blind_direction(results, config)) is not None:
+        tried = [run(speed * along, zero, _TRIED_SCANS) for speed in (0.0, *_TRIED_SPEEDS)]
+        best = max(tried, key=_share)
+        if best is not tried[0]:
+            results = run(best[-1].v_odom, zero, len(scans))
+    for last in (False, True):
         if sum(result.matches > 0 for result in results) < 2:
             return None
         T = np.stack([result.T_odom_imu for result in results])
-        stamps = np.array([result.end_ns for result in results], dtype=np.int64)
-        moved = _fit_motion(T, stamps, scans[0].stamp_ns)
+        moved = _fit_motion(T, np.array([result.end_ns for result in results], dtype=np.int64), scans[0].stamp_ns)
+        if not last:
+            results = run(moved.v_imu, moved.rate_imu, len(scans))
     return moved
+
+
+def _share(results: Sequence[ScanResult]) -> float:
+    """Return the share of points that matched, the first scan aside."""
+    return float(np.mean([result.matches / max(result.queries, 1) for result in results[1:]]))
+
+
+def _blind_direction(results: Sequence[ScanResult], config: RunConfig) -> Array | None:
+    """Return the direction, in the frame of the first pose, that scans are blind in which match few of their points."""
+    seen = [result for result in results[1:_TRIED_SCANS] if result.matches > 0]
+    if not seen or _share(results[:_TRIED_SCANS]) > _FEW:
+        return None
+    worst = min(seen, key=lambda result: float(result.eigenvalues_translation[0]))
+    if worst.eigenvalues_translation[0] > config.filter.degenerate_translation:
+        return None
+    return worst.weak_direction
 
 
 def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> LidarMotion:
@@ -248,5 +279,5 @@ def _follow(scans: Sequence[Scan], state: NavState, imu: ImuBatch, config: RunCo
             T_frame_body=np.stack([result.T_odom_imu for result in kept]),
         ),
         covariance=np.stack([result.covariance[:6, :6] for result in kept]),
-        share=float(np.mean([result.matches / max(result.queries, 1) for result in results[1:]])),
+        share=_share(results),
     )

@@ -187,6 +187,12 @@ def room(rng: np.random.Generator) -> Place:
     return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=1.1))
 
 
+def level_room(rng: np.random.Generator) -> Place:
+    """Return the room with a level loop around its table, as a ground robot drives it."""
+    waypoints = np.array([(5.0, 1.5, 0.5), (8.3, 1.5, 0.5), (8.1, 5.3, 0.5), (2.0, 5.4, 0.5), (1.8, 1.5, 0.5)])
+    return Place(world=room(rng).world, course=Course(waypoints=waypoints, corner=1.1))
+
+
 def tunnel(rng: np.random.Generator) -> Place:
     """Return a straight tunnel of 160 m whose cross-section never changes; only a few niches tell where one is."""
     primitives = [
@@ -227,5 +233,12 @@ def street(rng: np.random.Generator) -> Place:
 
 
 PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(
-    {"aisles": aisles, "room": room, "street": street, "tunnel": tunnel, "warehouse": warehouse}
+    {
+        "aisles": aisles,
+        "level_room": level_room,
+        "room": room,
+        "street": street,
+        "tunnel": tunnel,
+        "warehouse": warehouse,
+    }
 )

@@ -151,6 +151,10 @@ def from_toml(text: str) -> Scenario:
 
 def _registry() -> dict[str, Scenario]:
     warehouse = Scenario()
+    indoors = LidarModel(beams=32, columns=360, elevation_deg=(-30.0, 30.0), min_range=0.3, max_range=40.0)
+    short = Walk(speed=0.6, rest=1.5, ramp=1.5, duration=24.0)
+    waved = Gait(frequency=1.1, bounce=0.08, lateral=0.10, roll_deg=18.0, pitch_deg=14.0, yaw_deg=22.0)
+    slalom = Gait(frequency=1.0, bounce=0.0, lateral=0.12, roll_deg=0.0, pitch_deg=0.0, yaw_deg=25.0)
     handheld = Gait(frequency=1.9, bounce=0.015, lateral=0.02, roll_deg=4.0, pitch_deg=3.0, yaw_deg=8.0)
     return {
         "warehouse": warehouse,
@@ -162,6 +166,8 @@ def _registry() -> dict[str, Scenario]:
             gait=handheld,
             lidar=LidarModel(beams=32, columns=512, elevation_deg=(-30.0, 30.0), min_range=0.3, max_range=40.0),
         ),
+        "calibration": Scenario(name="calibration", place="room", walk=short, gait=waved, lidar=indoors),
+        "planar": Scenario(name="planar", place="level_room", walk=short, gait=slalom, lidar=indoors),
         "tunnel": Scenario(name="tunnel", place="tunnel", gnss=GnssModel(rate=0.0)),
         **{scenario.name: scenario for scenario in _moving_starts()},
     }

@@ -82,6 +82,10 @@ class ImuModel:
         One-sigma of the constant bias drawn for each axis [rad/s].
     accel_bias : float
         One-sigma of the constant bias drawn for each axis [m/s^2].
+    clock_offset : float
+        What the IMU's clock shows more than the LiDAR's, which is the true one, at the recording's first instant [s].
+    clock_drift_ppm : float
+        How much faster it runs [1e-6].
     """
 
     rate: float = 200.0
@@ -91,6 +95,8 @@ class ImuModel:
     accel_walk: float = 1e-4
     gyro_bias: float = 0.01
     accel_bias: float = 0.05
+    clock_offset: float = 0.0
+    clock_drift_ppm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

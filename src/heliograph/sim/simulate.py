@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.data import GnssFix, ImuBatch, ImuNoise, Rig, Scan
+from heliograph.data import GnssFix, ImuBatch, ImuClock, ImuNoise, Rig, Scan
 from heliograph.lie import se3, so3
 from heliograph.sim.geodesy import enu_to_geodetic
 from heliograph.sim.places import PLACES
@@ -180,9 +180,20 @@ class Simulation:
         return np.random.default_rng(self._streams[stream])
 
     @property
+    def clock(self) -> ImuClock:
+        """How the stamps on the IMU's samples are off."""
+        imu = self.scenario.imu
+        return ImuClock(offset=imu.clock_offset, drift=1e-6 * imu.clock_drift_ppm, reference_ns=EPOCH_NS)
+
+    @property
+    def imu_clock_ns(self) -> NDArray[np.int64]:
+        """The stamps that the IMU's samples carry; they were taken at ``imu_stamps_ns`` [ns]."""
+        return self.clock.imu_time(self.imu_stamps_ns)
+
+    @property
     def rig(self) -> Rig:
-        """The true mounting."""
-        return Rig(T_imu_lidar=self.mounting.T_imu_lidar, source="simulation")
+        """The true mounting and the true clock."""
+        return Rig(T_imu_lidar=self.mounting.T_imu_lidar, source="simulation", clock=self.clock)
 
     @property
     def imu_noise(self) -> ImuNoise:
@@ -195,7 +206,7 @@ class Simulation:
         return max(0, (self.duration_ns - _LIDAR_PHASE_NS) // self.scenario.lidar.period_ns)
 
     def imu(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return all gyroscope [rad/s] and accelerometer [m/s^2] samples, each (M, 3), at ``imu_stamps_ns``."""
+        """Return all gyroscope [rad/s] and accelerometer [m/s^2] samples, each (M, 3), of ``imu_stamps_ns``."""
         motion = self.truth.motion(self.imu_stamps_ns)
         up = motion.a_world + np.array([0.0, 0.0, GRAVITY])
         force = np.einsum("mji,mj->mi", motion.R_world_body, up)
@@ -263,9 +274,14 @@ class Simulation:
         gyro, accel = self.imu()
         ends = EPOCH_NS + _LIDAR_PHASE_NS + self.scenario.lidar.period_ns * np.arange(1, self.sweep_count() + 1)
         cuts = np.searchsorted(self.imu_stamps_ns, ends, side="right")
+        stamps = self.imu_clock_ns
         for begin, end in pairwise(np.unique([0, *cuts, len(gyro)]).tolist()):
-            stamps = self.imu_stamps_ns[begin:end]
-            yield ImuBatch(stamps_ns=stamps, gyro=gyro[begin:end], accel=accel[begin:end], received_ns=int(stamps[-1]))
+            yield ImuBatch(
+                stamps_ns=stamps[begin:end],
+                gyro=gyro[begin:end],
+                accel=accel[begin:end],
+                received_ns=int(self.imu_stamps_ns[end - 1]),
+            )
 
 
 def simulate(scenario: Scenario, seed: int, *, threads: int = 1) -> Simulation:

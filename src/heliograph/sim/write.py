@@ -220,10 +220,9 @@ def _transforms(simulation: Simulation, layout: Layout, messages: Messages) -> I
 
 
 def _inertial(simulation: Simulation, messages: Messages) -> Iterator[_Message]:
-    stamps = simulation.imu_stamps_ns
-    serialised = messages.imu(stamps, *simulation.imu(), _IMU_FRAME)
-    for stamp, data in zip(stamps.tolist(), serialised, strict=True):
-        yield stamp, 1, "/imu/data", data
+    serialised = messages.imu(simulation.imu_clock_ns, *simulation.imu(), _IMU_FRAME)
+    for received_ns, data in zip(simulation.imu_stamps_ns.tolist(), serialised, strict=True):
+        yield received_ns, 1, "/imu/data", data
 
 
 def _fixes(simulation: Simulation, messages: Messages) -> Iterator[_Message]:

@@ -40,7 +40,7 @@ def imu_of(stamps, six, received=None):
     )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(data=st.data(), n=st.integers(0, 30))
 def test_checks_answer_whatever_the_samples_hold(data, n):
     times = st.lists(st.integers(-SECOND, 40 * SECOND), min_size=n, max_size=n)
@@ -49,7 +49,7 @@ def test_checks_answer_whatever_the_samples_hold(data, n):
     answered(imu_of(stamps, six, received))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 10_000), begin=st.integers(0, 900), count=st.integers(0, 100), scans=st.integers(0, 99))
 def test_checks_answer_however_little_overlaps(seed, begin, count, scans):
     imu, motion = RECORDS

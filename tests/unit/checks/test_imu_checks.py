@@ -9,6 +9,7 @@ from heliograph.checks import IMU_CHECKS, CheckReport, Finding, check_imu, worst
 from heliograph.checks.arrangement import ARRANGEMENTS, name_of, remap
 from heliograph.data import Rig
 from heliograph.errors import DataError
+from heliograph.lie import so3
 from heliograph.sim import SCENARIOS
 from imu_records import (
     clipped,
@@ -62,8 +63,7 @@ def test_every_check_finds_a_sound_recording_ok(sound):
     assert all(finding.evidence and not finding.remedy for finding in found.values())
 
 
-@pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("place", ["room", "warehouse", "tunnel"])
+@pytest.mark.parametrize(("place", "known"), [("room", True), ("warehouse", False), ("tunnel", True)])
 @pytest.mark.parametrize("gait", GAITS)
 def test_sound_recordings_raise_no_alarm(gait, place, known):
     number = list(GAITS).index(gait)
@@ -75,7 +75,7 @@ def test_sound_recordings_raise_no_alarm(gait, place, known):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("imu", IMUS)
 @pytest.mark.parametrize("mount", MOUNTS)
 @pytest.mark.parametrize("gait", GAITS)
@@ -98,6 +98,12 @@ def test_accelerometer_in_another_unit_is_named(sound, scale, unit):
     assert found["accel-unit"].verdict == "fail" and unit in found["accel-unit"].evidence
     assert worst(tuple(found.values())).code == "accel-unit"
     assert found["accel-axes"].verdict == found["gyro-axes"].verdict == "ok"  # one mistake, not two
+
+
+def test_gravity_is_read_through_an_unfinished_step():
+    shaky = SCENARIOS["warehouse"].varied(gait=GAITS["run"], walk={"begin": 6.0}, imu={"accel_bias": 0.0})
+    found = findings(made_records(shaky.thinned(duration=15.0), seed=0))["accel-unit"]
+    assert abs(found.numbers[0].value) < 0.15  # of an up and down of 13 m/s^2
 
 
 def test_accelerometer_without_gravity_is_named(sound):
@@ -189,19 +195,29 @@ def test_reversed_yaw_of_a_planar_motion_is_named_with_its_doubt():
 @pytest.mark.parametrize(("degrees", "verdict"), [(1.0, "ok"), (8.0, "warn"), (25.0, "fail")])
 def test_wrong_mounting_rotation_is_measured(sound, degrees, verdict):
     imu, motion = sound
-    from heliograph.lie import so3
-
     T = motion.rig.T_imu_lidar.copy()
     T[:3, :3] = so3.exp(np.radians(degrees) * np.array([0.6, 0.0, 0.8])) @ T[:3, :3]
     found = findings((imu, replace(motion, rig=Rig(T_imu_lidar=T, source="tf_static"))))
     assert found["mounting"].verdict == verdict
     assert found["mounting"].numbers[0].value == pytest.approx(degrees, abs=0.05 * degrees + 0.5)
-    assert found["gyro-axes"].verdict == "ok"
+    assert found["gyro-axes"].verdict == found["accel-axes"].verdict == "ok"
+
+
+def test_wrong_mounting_that_is_also_off_is_named_alike_by_both_sensors(sound):
+    imu, motion = sound
+    T = motion.rig.T_imu_lidar.copy()
+    T[:3, :3] = matrix("y -x z") @ so3.exp(np.array([0.25, -0.2, 0.1])) @ T[:3, :3]
+    found = findings((imu, replace(motion, rig=Rig(T_imu_lidar=T, source="file"))))
+    for code in ("gyro-axes", "accel-axes"):
+        assert found[code].evidence == "x and y swapped, x reversed, like the other sensor's"
+    assert found["mounting"].verdict == "unknown"  # the axes come first
 
 
 def test_arrangements_are_all_the_signed_permutations_named_apart():
     assert len({P.tobytes() for P in ARRANGEMENTS}) == len({name_of(P) for P in ARRANGEMENTS}) == 48
     assert np.array_equal(ARRANGEMENTS[0], np.eye(3)) and name_of(np.eye(3)) == ""
+    changed = [np.count_nonzero(np.diag(P) != 1.0) for P in ARRANGEMENTS]
+    assert changed == sorted(changed)  # of several possible ones the simplest is named
     assert np.array_equal(np.abs(np.linalg.det(ARRANGEMENTS)).round(12), np.ones(48))
 
 
@@ -274,11 +290,11 @@ def test_repeated_values_are_told(sound):
 # ---------------------------------------------------------------------------------------------- agreement in time
 
 
-@pytest.mark.parametrize("late", [0.04, -0.04, 0.12])
+@pytest.mark.parametrize("late", [0.04, -0.0425, 0.1185])  # on the grid of the search and between
 def test_clock_offset_is_measured(sound, late):
     found = findings(sound, shifted(late))
     assert found["clock-offset"].verdict == "warn"
-    assert found["clock-offset"].numbers[0].value == pytest.approx(late, abs=0.004)
+    assert found["clock-offset"].numbers[0].value == pytest.approx(late, abs=1e-3)
     assert found["gyro-axes"].verdict == found["mounting"].verdict == "ok"  # compared at the offset found
 
 

@@ -128,7 +128,7 @@ def test_earlier_result_is_kept_unless_told_otherwise(call, resting, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--duration", "0.2"), "11 IMU samples in a row; a spectrum needs at least 32"),
+        (("--duration", "0.2"), "11 IMU samples in a row; a spectrum needs at least 40"),
         (("--imu-topic", "/imu/dta"), "did you mean '/imu/data'"),
         (("--set", "imu.gyro_nose=1"), "did you mean 'imu.gyro_noise'"),
     ],
@@ -146,6 +146,21 @@ def test_recording_without_imu_is_refused(call, tmp_path):
     (clouds / "0.ply").write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{axes}end_header\n1 2 3\n")
     code, _, err = call("calibrate", clouds, "--noise")
     assert code == 2 and "no IMU topic" in err and "record a sensor_msgs/Imu" in err
+
+
+def test_plain_table_is_a_recording_too(call, tmp_path):
+    imu = resting_imu(np.random.default_rng(8), duration=30.0, rate=50.0)
+    columns = np.column_stack([imu.stamps_ns * 1e-9, imu.gyro, imu.accel])
+    header = "time,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z"
+    np.savetxt(tmp_path / "desk.csv", columns, delimiter=",", header=header, comments="", fmt="%.9f")
+    code, out, _ = call("calibrate", "desk.csv", "--noise")
+    assert code == 0 and out.startswith("30.0 s at 50 Hz; read from 30.0 s at rest")
+    assert (tmp_path / "desk_calibration" / "noise.toml").exists()
+    code, _, err = call("run", "desk.csv")
+    assert code == 2 and "no LiDAR topic" in err and "--sensors imu" in err
+    (tmp_path / "notes.txt").write_text("buy milk\n")
+    code, _, err = call("calibrate", "notes.txt", "--noise")
+    assert code == 2 and "notes.txt" in err and len(err.splitlines()) == 1
 
 
 def test_run_takes_the_configuration(call, resting, moving, tmp_path, monkeypatch):

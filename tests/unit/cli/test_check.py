@@ -67,6 +67,7 @@ def test_bad_verdict_exits_0_and_names_the_first_remedy(call, recording, tmp_pat
     assert first.startswith("first: the mounting is wrong, not the IMU")
 
 
+@pytest.mark.slow
 def test_part_of_a_recording_is_checked(call, recording):
     facts = json.loads(call("check", recording, "--json", "--start", 2, "--duration", 5)[1])["facts"]
     assert facts["samples"] == pytest.approx(1000, abs=2) and facts["lidar_seconds"] < 5.0

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from heliograph.errors import GraphError
 from heliograph.factors import (
@@ -35,7 +37,8 @@ from heliograph.graph import (
 )
 from heliograph.imu import preintegrate
 from heliograph.lie import S2, SE3, ExtendedPose, se23
-from heliograph.testing import assert_factor
+from heliograph.testing import assert_factor, numeric_jacobian
+from reference.preintegration import motion_residual
 from states import GRAVITY, NOISE, START_NS, random_imu
 
 RANGE = slice(78, 80)  # of a row: how wide the linear range is
@@ -86,6 +89,48 @@ def unscaled(_rng, count):
 )
 def test_inertial_factor_obeys_the_law(rng, factor, gravity, width):
     assert_factor(factor, rng, data(width, gravity))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), angle=st.floats(0.0, 2.9), change=st.floats(0.0, 3.0))
+def test_jacobians_are_exact_at_large_errors(seed, angle, change):
+    """Errors of up to 2.9 rad and tens of metres; biases inside the linear range, in the passage and outside."""
+    rng = np.random.default_rng(seed)
+    motion = motions(rng, 1)
+    rows = motion_rows(motion)
+    rows[:, RANGE] = 0.5
+    bias = np.hstack([motion.gyro_bias, motion.accel_bias]) + change * rng.normal(size=(1, 6)) / 3.0
+    n = S2(rng.normal(size=(1, 3)))
+    X_i, axis = ExtendedPose.exp(rng.normal(size=(1, 9))), rng.normal(size=3)
+    exact = preintegrate(
+        motion.imu, motion.start_ns, motion.end_ns, noise=NOISE, gyro_bias=bias[:, :3], accel_bias=bias[:, 3:]
+    )
+    X_j = exact.predict(X_i, bias[:, :3], bias[:, 3:], GRAVITY * n.vector)
+    error = np.concatenate([angle * axis / np.linalg.norm(axis), rng.normal(scale=20.0, size=6)])
+    arrays = [X_i.matrix, bias, X_j.retract(error).matrix, rng.normal(size=(1, 6)), n.vector]
+    items = [rows, kept_samples(motion), np.full(1, GRAVITY)]
+    families = [allowed[0] for allowed in CombinedImuOnDirection.families]
+    _, jacobians = CombinedImuOnDirection.evaluate(arrays, items)
+    for k, (family, J) in enumerate(zip(families, jacobians, strict=True)):
+
+        def moved(step, k=k, family=family):
+            others = [*arrays[:k], family.retract(arrays[k], step[None]), *arrays[k + 1 :]]
+            return CombinedImuOnDirection.residual(*others, *items)[0]
+
+        slope = numeric_jacobian(moved, np.zeros(family.dof), step=1e-4)
+        np.testing.assert_allclose(J[0], slope, rtol=0, atol=1e-6 * max(1.0, np.abs(slope).max()))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_residual_is_that_of_its_equations(seed):
+    rng = np.random.default_rng(seed)
+    motion, g = motions(rng, 5), rng.normal(scale=GRAVITY, size=3)
+    X = se23.exp(rng.normal(size=(2, 5, 9)))
+    keys, bias = np.arange(5), np.hstack([motion.gyro_bias, motion.accel_bias])
+    factor = PreintegratedImu(keys, 10 + keys, 20 + keys, motion, gravity=g)
+    found = factor.residual(X[0], X[1], bias, *factor.data)
+    expected = [motion_residual(X[0, k], X[1, k], motion[k : k + 1], g) for k in range(5)]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
 def test_first_order_is_within_its_share_at_the_edge_of_the_linear_range(rng):

@@ -8,6 +8,7 @@ from scipy.stats import chi2
 
 from heliograph.data import Trajectory
 from heliograph.errors import DataError
+from heliograph.imu.motion_start import _measurements
 from heliograph.lie import se3, so3
 from moving import CONFIG, ROAD, ROOM, Trial
 from states import GRAVITY
@@ -152,3 +153,20 @@ def test_what_cannot_be_aligned_is_refused():
     trial.covariance = np.eye(6)
     with pytest.raises(DataError, match="covariances of shape"):
         trial.align()
+
+
+def test_a_pose_of_the_lidar_swings_the_imu_on_its_lever_arm(rng):
+    """Eq. (2) against draws."""
+    T_imu_lidar = se3.from_rotation_translation(so3.exp([0.3, -0.5, 0.9]), np.array([0.6, -0.3, 0.2]))
+    T = np.tile(se3.exp(rng.normal(size=6)), (3, 1, 1))
+    root = np.diag(np.repeat([2e-3, 2e-2], 3)) @ rng.uniform(0.2, 1.0, (6, 6))
+    P = root @ root.T + np.diag(np.repeat([1e-6, 1e-4], 3))
+    poses = Trajectory(stamps_ns=np.arange(3) * 100_000_000, T_frame_body=T, body="lidar")
+    _, (R, p, information) = _measurements(poses, np.tile(P, (3, 1, 1)), T_imu_lidar, None)
+    np.testing.assert_allclose(R[0], T[0, :3, :3] @ T_imu_lidar[:3, :3].T, atol=1e-12)
+    draws = rng.multivariate_normal(np.zeros(6), P, size=4000)
+    moved = T[:1] @ se3.from_rotation_translation(so3.exp(draws[:, :3]), np.zeros((len(draws), 3)))
+    moved[:, :3, 3] += draws[:, 3:]
+    imu = moved @ se3.inverse(T_imu_lidar)
+    errors = np.hstack([so3.log(R[0].T @ imu[:, :3, :3]), imu[:, :3, 3] - p[0]])
+    np.testing.assert_allclose(np.cov(np.linalg.cholesky(information[0]).T @ errors.T), np.eye(6), atol=0.1)

@@ -102,11 +102,11 @@ def test_covariance_is_the_inverse_information_of_the_restricted_likelihood():
 
 
 def test_white_noise_and_walk_are_recovered_within_their_sigmas():
-    channels = fits({"white": 1.0, "walk": 0.3}, n=60_000, seeds=range(40))
-    assert_calibrated(normalised_errors(channels, "white", 1.0), 40)
-    assert_calibrated(normalised_errors(channels, "walk", 0.3), 30)
+    channels = fits({"white": 1.0, "walk": 0.3}, n=60_000, seeds=range(25))
+    assert_calibrated(normalised_errors(channels, "white", 1.0), 25)
+    assert_calibrated(normalised_errors(channels, "walk", 0.3), 18)
     filters = np.array([(c.walk_of_filter.value, c.walk_of_filter.sigma) for c in channels]).T
-    assert_calibrated(np.log(filters[0] / 0.3) * filters[0] / filters[1], 40)
+    assert_calibrated(np.log(filters[0] / 0.3) * filters[0] / filters[1], 25)
     assert sum(channel.term("flicker").value is not None for channel in channels) <= 1
 
 
@@ -117,6 +117,7 @@ def test_flicker_and_white_noise_are_recovered_within_their_sigmas():
     assert sum(channel.term("walk").value is not None for channel in channels) <= 1
 
 
+@pytest.mark.slow
 def test_all_three_are_recovered_where_the_record_shows_them():
     truth = {"white": 1.0, "flicker_b": 1.0, "walk": 0.5}
     channels = fits(truth, n=200_000, seeds=range(20), period=0.02)
@@ -145,6 +146,7 @@ def test_what_a_record_does_not_show_gets_a_bound_and_no_number():
     assert bounds[1] < 0.1 * bounds[0]
 
 
+@pytest.mark.slow
 def test_bounds_hold_as_often_as_they_say():
     channels = fits({"white": 1.0, "walk": 0.05}, n=60_000, seeds=range(60))
     held = np.mean([channel.term("walk").upper > 0.05 for channel in channels])

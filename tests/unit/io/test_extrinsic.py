@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from heliograph.data import ImuClock, Rig
 from heliograph.errors import ConfigError
-from heliograph.io.extrinsic import read_extrinsic
+from heliograph.io.extrinsic import read_extrinsic, write_extrinsic
 
 R = Rotation.from_rotvec([0.3, -0.2, 1.4])
 T = np.eye(4)
@@ -71,4 +72,40 @@ def test_extrinsic_mistakes_are_one_line(tmp_path, text, message):
 
 def test_extrinsic_that_is_missing_is_a_config_error(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
+        read_extrinsic(tmp_path / "e.toml")
+
+
+def test_written_extrinsic_is_read_back(tmp_path):
+    clock = ImuClock(offset=0.0123456789, drift=-31.25e-6, reference_ns=1_750_000_000_123_456_789)
+    write_extrinsic(tmp_path / "e.toml", Rig(T_imu_lidar=T, source="x", clock=clock), {"scans": 3}, header="one\ntwo")
+    text = (tmp_path / "e.toml").read_text()
+    assert text.startswith("# one\n# two\n")
+    rig = read_extrinsic(tmp_path / "e.toml")
+    np.testing.assert_allclose(rig.T_imu_lidar, T, rtol=0, atol=1e-12)
+    assert rig.clock.offset == clock.offset
+    assert rig.clock.drift == pytest.approx(clock.drift, rel=1e-12)
+    assert rig.clock.reference_ns == clock.reference_ns
+
+
+def test_extrinsic_without_a_clock_has_an_exact_one(tmp_path):
+    (tmp_path / "e.toml").write_text(f"rotation = {ROWS}\n{TRANSLATION}")
+    assert read_extrinsic(tmp_path / "e.toml").clock.exact
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("clock = 3\n", "'clock' is no table"),
+        ("[clock]\nofset = 1.0\n", "unknown key 'ofset'; did you mean 'offset'"),
+        ("[clock]\noffset = 'late'\n", "'offset' must be"),
+        ("[clock]\ndrift_ppm = 3.0\n", "give 'reference_ns'"),
+        ("[clock]\ndrift_ppm = 2e6\nreference_ns = 1\n", "none of a clock"),
+        ("[clock]\nreference_ns = 1.5\n", "'reference_ns' must be a whole number"),
+        ("[clok]\noffset = 1.0\n", "unknown key 'clok'; did you mean 'clock'"),
+    ],
+)
+def test_extrinsic_clock_mistakes_are_one_line(tmp_path, text, message):
+    before, after = (text, "") if text.startswith("clock") else ("", text)
+    (tmp_path / "e.toml").write_text(f"{before}[T_imu_lidar]\nrotation = {ROWS}\n{TRANSLATION}{after}")
+    with pytest.raises(ConfigError, match=message):
         read_extrinsic(tmp_path / "e.toml")

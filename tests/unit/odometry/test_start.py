@@ -11,7 +11,7 @@ from heliograph.data import ImuBatch, Rig, Scan
 from heliograph.lie import s2, so3
 from heliograph.odometry.error_state import local
 from heliograph.odometry.sequencer import Packet
-from heliograph.odometry.start import _aligned_state, find_start
+from heliograph.odometry.start import _aligned_state, find_start, look
 from heliograph.sim import SCENARIOS, simulate
 from moving import CONFIG as EXACT_IMU
 from moving import Trial
@@ -227,6 +227,17 @@ def test_vibration_at_rest_needs_the_lidar_to_agree():
     np.testing.assert_allclose(v, truth.R_world_body[0].T @ truth.v_world[0], atol=0.15)
 
 
+@pytest.mark.parametrize("speed", [25.0, pytest.param(33.0, marks=pytest.mark.slow)])
+def test_a_car_on_a_smooth_road_is_not_taken_for_resting(speed):
+    walk = {"speed": speed, "begin": 7.2, "duration": 1.3}
+    scenario = SCENARIOS["start-vehicle"].thinned(beams=32, columns=256).varied(walk=walk)
+    simulation, packets, imu = packets_and_imu(scenario, seed=4)
+    first = look(packets, imu, simulation.rig, CONFIG, threads=1)
+    assert first.rest.still
+    assert not first.still
+    np.testing.assert_allclose(first.moved.v_imu, [speed, 0.0, 0.0], atol=0.3)
+
+
 def shaken_start(walk):
     """A start on a smooth course with an engine's vibration on the IMU."""
     scenario = SCENARIOS["warehouse"].thinned(beams=16, columns=128).varied(walk=walk, gait=NO_GAIT)
@@ -270,3 +281,25 @@ def test_attaching_the_frame_to_the_first_pose_keeps_the_covariance_honest(monke
     low, high = chi2.ppf([0.0005, 0.9995], 11 * 40) / 40
     assert low < means[1.0] < high
     assert means[0.25] < 0.8 * means[1.0]
+
+
+def test_a_rotation_that_is_uncertain_goes_over_to_velocity_and_gravity(monkeypatch):
+    """Eq. (12) against draws: errors of the alignment, seen from where its true first pose is the state's."""
+    monkeypatch.setattr("heliograph.odometry.start._TOLD_SHARE", 1.0)
+    rng, trial = np.random.default_rng(5), Trial(1)
+    root = np.diag(np.repeat([0.02, 0.01, 0.03, 1e-3, 0.02, 0.02], [3, 3, 3, 3, 3, 2])) @ rng.normal(size=(17, 17))
+    prior = np.repeat([EXACT.imu.gyro_bias_sigma**-2, EXACT.imu.accel_bias_sigma**-2], 3)
+    information = np.zeros((18, 18))
+    information[:17, :17] = np.linalg.inv(root @ root.T / 17.0)
+    covariance = np.linalg.inv(information[:17, :17] + np.diag(np.r_[np.zeros(9), prior, np.zeros(2)]))
+    found = replace(trial.found, information=information)
+    state = _aligned_state(found, Rig(T_imu_lidar=np.eye(4), source="test"), EXACT)
+    errors = []
+    for e in rng.multivariate_normal(np.zeros(17), covariance, size=4000):
+        R = state.R_odom_imu @ (found.R_odom_imu[0] @ so3.exp(e[:3])).T
+        g = R @ (GRAVITY * s2.retract(found.g_odom / GRAVITY, e[15:17]))
+        truth = replace(state, v_odom=R @ (found.v_odom[0] + e[6:9]), g_odom=g)
+        truth = replace(truth, gyro_bias=found.gyro_bias + e[9:12], accel_bias=found.accel_bias + e[12:15])
+        errors.append(local(state, truth)[6:17])
+    whitened = np.linalg.solve(np.linalg.cholesky(state.covariance[6:17, 6:17]), np.array(errors).T)
+    np.testing.assert_allclose(np.cov(whitened), np.eye(11), atol=0.15)

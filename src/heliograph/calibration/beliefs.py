@@ -1,0 +1,95 @@
+"""What a calibration passes from step to step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.data import ImuClock
+
+__all__ = ["Beliefs", "LidarPoses", "Motion", "Prior"]
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beliefs:
+    """What is estimated besides the motion.
+
+    Parameters
+    ----------
+    T_imu_lidar : (4, 4) float64
+        [m].
+    clock : ImuClock
+    g_odom : (3,) float64
+        Gravity; its length is given [m/s^2].
+    """
+
+    T_imu_lidar: Array
+    clock: ImuClock
+    g_odom: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prior:
+    """What was believed beforehand.
+
+    Parameters
+    ----------
+    T_imu_lidar : (4, 4) float64
+        [m].
+    clock : ImuClock
+    information : (8, 8) float64
+        Of a change from it: rotation about and lever arm along imu axes, offset, drift.
+    """
+
+    T_imu_lidar: Array
+    clock: ImuClock
+    information: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarPoses:
+    """Poses of the LiDAR in the odom frame as the scans alone tell them.
+
+    Parameters
+    ----------
+    stamps_ns : (N,) int64
+        In the LiDAR's clock [ns].
+    T_odom_lidar : (N, 4, 4) float64
+        [m].
+    covariance : (N, 6, 6) float64
+        Of right perturbations, rotation first; its size by direction is found from the data.
+    """
+
+    stamps_ns: Stamps
+    T_odom_lidar: Array
+    covariance: Array
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """The IMU's states at some instants.
+
+    Parameters
+    ----------
+    stamps_ns : (N,) int64
+        In the IMU's clock [ns].
+    X_odom_imu : (N, 5, 5) float64
+        Extended poses: attitude, position [m], velocity [m/s].
+    bias : (N, 6) float64
+        Gyroscope [rad/s], accelerometer [m/s^2].
+    """
+
+    stamps_ns: Stamps
+    X_odom_imu: Array
+    bias: Array
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
