@@ -263,7 +263,8 @@ class FilterConfig:
     constant_velocity_accel, constant_velocity_gyro : float
         Noise of the motion model that stands in for a missing IMU [m/s^2/sqrt(Hz)], [rad/s^2/sqrt(Hz)].
     estimate_mounting, estimate_time_offset : bool
-        Whether the mounting, and the offset of the IMU's clock, are states of the filter.
+        Whether the mounting, and the offset of the IMU's clock, are states of the filter; for a mounting that is not
+        known well, see docs/howto/calibrate.md.
     mounting_rotation_sigma, mounting_lever_sigma, time_offset_sigma : float
         One-sigma of what they may be off at the start [rad], [m], [s].
     calibration_gain : float

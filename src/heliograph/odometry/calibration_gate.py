@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import FilterConfig
-from heliograph.data import ImuBatch, NavState, Rig
+from heliograph.data import ImuBatch, NavState, OnlineCalibration, Rig
 from heliograph.odometry.error_state import CLOCK, MOUNTING
 from heliograph.odometry.motion import MotionModel
 from heliograph.odometry.update import Linearization, embedded
@@ -109,8 +109,24 @@ class CalibrationGate:
         directions[free] = vectors
         return np.sqrt(np.maximum(values, 1.0)), directions
 
+    def account(self, state: NavState) -> OnlineCalibration:
+        """Return what a state says of mounting and clock."""
+        gains, directions = self.directions()
+        # The filter's rotation error is about lidar axes; what people read is about imu axes, where motion is excited.
+        turn = np.eye(len(self.prior_sigma))
+        turn[:3, :3] = state.T_imu_lidar[:3, :3]
+        covariance = turn @ state.covariance[CALIBRATION, CALIBRATION] @ turn.T
+        return OnlineCalibration(
+            T_imu_lidar=state.T_imu_lidar,
+            imu_offset=state.imu_offset,
+            sigma=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+            gains=gains,
+            directions=turn @ directions,
+            kept=gains < self.gain,
+        )
+
     def considered(self) -> Array:
-        """Return the projection (24, 24) of an error onto the directions that may not move, eq. (13)."""
+        """Return the projection (24, 24) of an error onto the directions that may not move, eq. (14)."""
         gains, directions = self.directions()
         shut = directions[:, gains < self.gain]
         projection = np.zeros_like(self.covariance)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.cloud import deskew, range_gate
 from heliograph.config import RunConfig
-from heliograph.data import ImuBatch, NavState, Scan, ScanResult
+from heliograph.data import ImuBatch, NavState, OnlineCalibration, Scan, ScanResult
 from heliograph.imu import ImuPath
 from heliograph.lie import se3
 from heliograph.maps import LocalMap, VoxelMap
@@ -73,6 +73,11 @@ class FilterCore:
         self._anchor: NDArray[np.float64] | None = None
         self._count = self._map_scans = 0
 
+    @property
+    def calibration(self) -> OnlineCalibration | None:
+        """Mounting and clock as they are believed now, None where they are not estimated under a gate."""
+        return None if self._gate is None else self._gate.account(self.state)
+
     def process(self, scan: Scan, imu: ImuBatch) -> ScanResult:
         """Process one scan; the numbers are those of docs/theory/filter.md."""
         watch = Stopwatch()
@@ -112,6 +117,8 @@ class FilterCore:
             timings=watch.laps,
             config=self._config.filter,
         )
+        if self._gate is not None:
+            result = replace(result, calibration=self._gate.account(outcome.state))
         if outcome.fit is not None:
             self.noise = self.noise.updated(outcome.fit.linearization.rms, self._config.filter)
         self.state, self._history, self._count = outcome.state, outcome.path, self._count + 1
@@ -124,9 +131,10 @@ class FilterCore:
         watch.lap("predict")
         self._count += 1
         covariance = self._drift.pose_covariance(self.state)
-        return dead_reckoned(
+        result = dead_reckoned(
             index=self._count - 1, state=self.state, pose_covariance=covariance, path=path, timings=watch.laps
         )
+        return result if self._gate is None else replace(result, calibration=self._gate.account(self.state))
 
     def _predict(self, imu: ImuBatch, end_ns: int) -> tuple[NavState, ImuPath]:
         if self._gate is not None:

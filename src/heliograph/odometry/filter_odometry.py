@@ -65,7 +65,7 @@ class FilterOdometry:
     def finish(self) -> list[ScanResult]:
         """Return the results still waiting."""
         results = self._advance(self._sequencer.finish(), ended=True)
-        self.events += self._doubts()
+        self.events += [*self._doubts(), *self._calibrated()]
         return results
 
     def leveling(self) -> NDArray[np.float64]:
@@ -88,6 +88,20 @@ class FilterOdometry:
         )
         severity = "warning" if tilt >= _TILTED_DEG else "info"
         return [Event(code="tilt-uncertain", message=text, stamp_ns=self.core.state.stamp_ns, severity=severity)]
+
+    def _calibrated(self) -> list[Event]:
+        """Return what was found of mounting and clock."""
+        found = self.core.calibration if self.core is not None else None
+        if found is None:
+            return []
+        sigma = found.sigma
+        text = (
+            f"estimated along: mounting rotation to +- {np.degrees(sigma[:3].max()):.2f} deg, lever arm to "
+            f"+- {sigma[3:6].max():.3f} m, clock offset {1e3 * found.imu_offset:.2f} +- {1e3 * sigma[6]:.2f} ms"
+        )
+        if found.kept_names:
+            text += f"; not excited and kept as given: {', '.join(found.kept_names)} - turn about all axes to tell them"
+        return [Event(code="online-calibration", message=text, severity="info")]
 
     def _advance(self, packets: list[Packet], *, ended: bool) -> list[ScanResult]:
         self._waiting += packets
@@ -117,17 +131,13 @@ class FilterOdometry:
         self.events += start.events
         self.start = start.account
         state = with_calibration(start.state, self._config.filter) if start.motion.inertial else start.state
-        self.core = FilterCore(
-            state, start.motion, self._config, local_map=self._local_map, threads=self._threads
-        )
+        self.core = FilterCore(state, start.motion, self._config, local_map=self._local_map, threads=self._threads)
         return True
 
     def _step(self, packet: Packet) -> ScanResult:
         assert self.core is not None
         offset, around = offset_ns(self.core.state), self._around_ns
-        imu = self._sequencer.imu.between(
-            self.core.state.stamp_ns + offset - around, packet.end_ns + offset + around
-        )
+        imu = self._sequencer.imu.between(self.core.state.stamp_ns + offset - around, packet.end_ns + offset + around)
         if packet.scan is not None:
             result = self.core.process(packet.scan, imu)
         else:

@@ -16,7 +16,7 @@ from heliograph.odometry.error_state import CLOCK, MOUNTING, NAV_DIM, mounting_e
 from heliograph.odometry.update import UpdateResult, iterated_update
 from heliograph.registration import MatchSettings, NormalEquations, linearize
 
-__all__ = ["AdaptiveNoise", "Online", "Thinning", "is_vague", "register"]
+__all__ = ["AdaptiveNoise", "Online", "Thinning", "is_vague", "register", "with_clock"]
 
 # A prediction's rotation error moves points by its sine times their distance; this distance stands for the cloud.
 _TYPICAL_RANGE = 15.0
@@ -148,7 +148,7 @@ def register(
             off = mounting_error(T_imu_lidar, state.T_imu_lidar)
             equations = replace(equations, gradient=equations.gradient + equations.information[:, -6:] @ off)
         if online is not None:
-            equations = _with_clock(equations, online.rate_change)
+            equations = with_clock(equations, online.rate_change)
         share = 1.0 / config.correlation
         return replace(
             equations,
@@ -168,7 +168,7 @@ def register(
     )
 
 
-def _with_clock(equations: NormalEquations, rate_change: NDArray[np.float64]) -> NormalEquations:
+def with_clock(equations: NormalEquations, rate_change: NDArray[np.float64]) -> NormalEquations:
     """Add the column of the clock's offset: within the sweep it acts as a gyroscope bias of minus the rates' change."""
     size = len(equations.columns)
     G = np.eye(size, size + 1)
