@@ -155,6 +155,31 @@ def test_incremental_adapter_replays_a_graph(harness, tmp_path):
     assert "small" in incremental_table.incremental_section(rows, table._table)
 
 
+def test_calibration_section_judges_the_sigmas(harness):
+    from benchmarks.calibrate import calibration_section
+
+    def rows(nees):
+        return [
+            {
+                "motion": "planar",
+                "seed": seed,
+                "error": [1e-4, 0.0, 0.0, 3e-3, 4e-3, 0.0, -2e-4, 1e-6],
+                "verdicts": ["observed"] * 5 + ["not excited"] + ["observed"] * 2,
+                "nees": nees,
+                "told": 7,
+                "cpu_s": 1.0,
+            }
+            for seed in range(20)
+        ]
+
+    honest = calibration_section(rows(7.0), harness[2]._table)
+    assert "| planar | 20 | lever arm [mm] | 5.0000 | 5.0000 | 5.0000 |" in honest
+    assert "| planar | 20 | offset [ms] | 0.2000 |" in honest
+    assert "inside the band" in honest and "axes not excited: 1" in honest
+    assert "OUTSIDE" in calibration_section(rows(11.0), harness[2]._table)
+    assert "OUTSIDE" in calibration_section(rows(4.0), harness[2]._table)
+
+
 def test_preintegration_benchmark_measures_and_tells(harness, tmp_path):
     from benchmarks import imu, imu_table, table
 
