@@ -9,13 +9,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import graph, graph_incremental, graph_scale, imu, imu_gnss, kitti, speed, start, table
+from benchmarks import calibrate, graph, graph_incremental, graph_scale, imu, imu_gnss, kitti, speed, start, table
 from benchmarks.rivals import ADAPTERS
 
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
 _GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale")
-_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss")
+_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "calibrate")
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss")
 _RUNS = {"imu": 20, "speed": 5, "start": 3, "graph": 7, "graph-scale": 1, "graph-incremental": 5}
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
@@ -43,6 +43,9 @@ def _parse() -> argparse.Namespace:
         "--graphs", nargs="+", help=f"for `graph`: {graph.GRAPHS}; `graph-scale`: {list(graph_scale.WORLDS)}"
     )
     parser.add_argument("--seconds", type=float, default=45.0, help="length of the simulated recording")
+    parser.add_argument("--trials", type=int, default=100, help="recordings of each motion of `calibrate`")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first of them, to share them out")
+    parser.add_argument("--motions", nargs="+", choices=calibrate.MOTIONS, default=calibrate.MOTIONS)
     parser.add_argument("--poses", type=int, default=1_000_000, help="length of the drive of `graph-incremental-scale`")
     return parser.parse_args()
 
@@ -107,6 +110,10 @@ def main() -> None:
         _write("imu_gnss", imu_gnss.compare(arguments.data.parent / "kitti_00", arguments.work, rival))
     if any(name.startswith("graph") for name in wanted):
         _graphs(arguments, wanted)
+    if "calibrate" in wanted:
+        for motion in arguments.motions:
+            seeds = range(arguments.first, arguments.first + arguments.trials)
+            calibrate.run_trials(motion, seeds, _RESULTS / "calibrate.jsonl")
     table.write_table(_RESULTS, _ROOT / "benchmarks" / "BENCHMARKS.md")
     table.write_readme(_RESULTS, _ROOT / "README.md")
 

@@ -36,7 +36,8 @@ def gnss_section(rows: _Rows, table: Any) -> str:  # noqa: ANN401
         "All systems get the same readings, noise, fixes and start. Batch: all at once; incremental: one update a fix. "
         "Bars: half of the fixes' error, 1.02 of gtsam's. The IMU's stamps lag the fixes' by "
         f"{first['lag_ms']:.0f} +- {first['lag_sigma_ms']:.0f} ms by the likelihood of the fixes. IMU noise is the "
-        "file's own.\n"
+        "file's own, that of held samples the likeliest (`benchmarks/imu_likelihood.py`). Eight gaps of "
+        "1.6 s, which the file fills with straight lines in samples, fixes and truth, are found and left open.\n"
     )
     for method in ("batch", "incremental"):
         by = {r["system"]: r["rmse_m"] for r in scored if r["method"] == method}

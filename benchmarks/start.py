@@ -114,29 +114,33 @@ def _errors(estimate: Trajectory, truth: Trajectory) -> tuple[float, float]:
     return float(np.sqrt(np.mean(error**2))), float(error[first].max())
 
 
+def _ratios(part: _Rows) -> list[float]:
+    return [row["ate_m"] / row["ate_static_m"] for row in part]
+
+
+def _case_line(name: str, part: _Rows) -> list[Any]:
+    """Return a case's line of the table."""
+    return [
+        name,
+        START_CASES[name][1],
+        len(part),
+        f"{1e3 * float(np.median([row['ate_m'] for row in part])):.2f}",
+        f"{1e3 * float(np.median([row['ate_static_m'] for row in part])):.2f}",
+        f"{float(np.median(_ratios(part))):.2f}",
+        f"{max(_ratios(part)):.2f}",
+        f"{1e3 * max(row['first_second_m'] for row in part):.1f}",
+        f"{1e3 * max(row['first_second_static_m'] for row in part):.1f}",
+        sum(row["untracked"] for row in part),
+        ", ".join(sorted({row["verdict"] for row in part})),
+    ]
+
+
 def start_section(rows: _Rows, table: Any) -> str:  # noqa: ANN401
     """Return the section of BENCHMARKS.md: one line a case, the worst seed's ratio beside the medians."""
-    body, missed = [], []
-    for name in dict.fromkeys(row["case"] for row in rows):
-        part = [row for row in rows if row["case"] == name]
-        ratios = [row["ate_m"] / row["ate_static_m"] for row in part]
-        if max(ratios) > _BAR:
-            missed.append(f"{name} ({max(ratios):.2f})")
-        body.append(
-            [
-                name,
-                START_CASES[name][1],
-                len(part),
-                f"{1e3 * float(np.median([row['ate_m'] for row in part])):.2f}",
-                f"{1e3 * float(np.median([row['ate_static_m'] for row in part])):.2f}",
-                f"{float(np.median(ratios)):.2f}",
-                f"{max(ratios):.2f}",
-                f"{1e3 * max(row['first_second_m'] for row in part):.1f}",
-                f"{1e3 * max(row['first_second_static_m'] for row in part):.1f}",
-                sum(row["untracked"] for row in part),
-                ", ".join(sorted({row["verdict"] for row in part})),
-            ]
-        )
+    parts = {name: [row for row in rows if row["case"] == name] for name in dict.fromkeys(r["case"] for r in rows)}
+    worst = {name: max(_ratios(part)) for name, part in parts.items()}
+    body = [_case_line(name, part) for name, part in parts.items()]
+    missed = [f"{name} ({ratio:.2f})" for name, ratio in worst.items() if ratio > _BAR]
     head = ["start", "", "seeds", "ATE mm", "from rest mm", "ratio", "worst", "first second mm", "from rest mm"]
     text = "## Starts in motion\n\n" + table([*head, "untracked", "verdict"], body)
     return text + (

@@ -66,7 +66,7 @@ def recording_trial(scenario, seed, *, config=CONFIG, **changes):
     return judged(sensors, result.rig, result.observed, result)
 
 
-def pose_trial(scenario, seed, *, period_ns=100_000_000, **changes):
+def pose_trial(scenario, seed, *, period_ns=100_000_000, config=CONFIG, **changes):
     """Calibrate from exact poses with white noise of a known size, which the calibration is not told."""
     sensors, wrong = simulation(scenario, seed, **changes)
     rng = np.random.default_rng([8, seed])
@@ -80,7 +80,7 @@ def pose_trial(scenario, seed, *, period_ns=100_000_000, **changes):
     prior = Prior(
         T_imu_lidar=wrong.T_imu_lidar,
         clock=ImuClock(reference_ns=int(stamps[len(stamps) // 2])),
-        information=np.diag(prior_sigmas(CONFIG.calibration) ** -2.0),
+        information=np.diag(prior_sigmas(config.calibration) ** -2.0),
     )
     up = noisy[0, :3, :3] @ wrong.T_imu_lidar[:3, :3].T @ accel[:100].mean(axis=0)
     start = Beliefs(T_imu_lidar=prior.T_imu_lidar, clock=prior.clock, g_odom=-9.80665 * up / np.linalg.norm(up))
@@ -89,7 +89,7 @@ def pose_trial(scenario, seed, *, period_ns=100_000_000, **changes):
         lambda _: poses,
         refined(imu),
         noise=sensors.imu_noise,
-        config=CONFIG,
+        config=config,
         prior=prior,
         start=start,
         bias=np.concatenate([gyro[:100].mean(axis=0), np.zeros(3)]),

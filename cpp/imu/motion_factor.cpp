@@ -30,8 +30,7 @@ Motion motion_of(const double* X) {
 }
 
 Motion relative(const Motion& a, const Motion& b) {
-  const Matrix3d back = a.R.transpose();
-  return {back * b.R, back * (b.p - a.p), back * (b.v - a.v)};
+  return {a.R.transpose() * b.R, a.R.transpose() * (b.p - a.p), a.R.transpose() * (b.v - a.v)};
 }
 
 // X exp(d).

@@ -173,7 +173,7 @@ void finish(ImuDelta& delta, const BiasEffect& effect) {
 Matrix99 adjoint_of_inverse(const Matrix3d& R, const Vector3d& p, const Vector3d& v) {
   Matrix99 A = Matrix99::Zero();
   const Matrix3d back = R.transpose();
-  A.block<3, 3>(0, 0) = A.block<3, 3>(3, 3) = A.block<3, 3>(6, 6) = back;
+  for (int k = 0; k < 9; k += 3) A.block<3, 3>(k, k) = back;
   A.block<3, 3>(3, 0) = -crossed(back, p);
   A.block<3, 3>(6, 0) = -crossed(back, v);
   return A;

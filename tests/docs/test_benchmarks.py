@@ -153,3 +153,51 @@ def test_incremental_adapter_replays_a_graph(harness, tmp_path):
         assert row["chi2"] == pytest.approx(row["batch_chi2"], rel=0.05)
         assert row["p50_ms"] <= row["p99_ms"] <= row["max_ms"]
     assert "small" in incremental_table.incremental_section(rows, table._table)
+
+
+def test_calibration_section_judges_the_sigmas(harness):
+    from benchmarks.calibrate import calibration_section
+
+    def rows(nees):
+        return [
+            {
+                "motion": "planar",
+                "seed": seed,
+                "error": [1e-4, 0.0, 0.0, 3e-3, 4e-3, 0.0, -2e-4, 1e-6],
+                "verdicts": ["observed"] * 5 + ["not excited"] + ["observed"] * 2,
+                "nees": nees,
+                "told": 7,
+                "cpu_s": 1.0,
+            }
+            for seed in range(20)
+        ]
+
+    honest = calibration_section(rows(7.0), harness[2]._table)
+    assert "| planar | 20 | lever arm [mm] | 5.0000 | 5.0000 | 5.0000 |" in honest
+    assert "| planar | 20 | offset [ms] | 0.2000 |" in honest
+    assert "inside the band" in honest and "axes not excited: 1" in honest
+    assert "OUTSIDE" in calibration_section(rows(11.0), harness[2]._table)
+    assert "OUTSIDE" in calibration_section(rows(4.0), harness[2]._table)
+
+
+def test_preintegration_benchmark_measures_and_tells(harness, tmp_path):
+    from benchmarks import imu, imu_table, table
+
+    rows = imu.measure(tmp_path, tmp_path / "none", runs=1)
+    assert [row["system"] for row in rows] == ["heliograph", "heliograph"]
+    assert all(0.0 < row["us_a_sample"] < 100.0 for row in rows)
+    rows.append({**rows[0], "system": "gtsam", "us_a_sample": 10.0 * max(row["us_a_sample"] for row in rows)})
+    text = imu_table.preintegration_section(rows, table._table)
+    assert "takes 0.10 of gtsam's faster loop (bar: 0.2)" in text
+
+
+def test_results_of_the_real_drive_keep_the_bars():
+    rows = [json.loads(line) for line in (ROOT / "benchmarks" / "results" / "imu_gnss.jsonl").read_text().splitlines()]
+    error = {(row["system"], row["method"]): row["rmse_m"] for row in rows if row["method"] != "cuts"}
+    for method in ("batch", "incremental"):
+        assert error["heliograph", method] <= 0.5 * rows[0]["noisy_rmse_m"]
+        assert error["heliograph", method] <= 1.02 * error["gtsam", method]
+    cuts = next(row for row in rows if row["method"] == "cuts")
+    low, high = cuts["band"]
+    assert low <= cuts["mean_nees"] <= high
+    assert cuts["cuts"] == 20

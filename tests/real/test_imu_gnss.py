@@ -1,5 +1,6 @@
 """A real drive of 470 s with its real IMU: smoothing with noisy fixes, start in motion, and honest predictions."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,3 +66,20 @@ def test_predictions_over_cuts_are_as_good_as_they_say(drives, drive, seed):
     summary = bench.cut_summary(bench.cut_rows(drive.shifted(lag), fixes, truth))
     low, high = summary["band"]
     assert low < summary["mean_nees"] < high
+
+
+@pytest.mark.slow
+def test_noise_of_the_imu_is_what_the_fixes_say(drives, drive):
+    """Neither half nor double of any density explains the noisy fixes much better; those of gaps explain them best."""
+    from benchmarks.imu_likelihood import log_likelihood
+
+    tools, fixes = drives[0], drive.noisy(0)
+    taken = log_likelihood(drive, fixes, tools.NOISE, tools.CONFIG)
+    for name in ("gyro", "accel", "gyro_walk", "accel_walk"):
+        for factor in (0.5, 2.0):
+            other = replace(tools.NOISE, **{name: factor * getattr(tools.NOISE, name)})
+            assert log_likelihood(drive, fixes, other, tools.CONFIG) < taken + 1.5
+    for name in ("held_gyro_noise", "held_accel_noise"):
+        for factor in (0.5, 2.0):
+            other = replace(tools.CONFIG, **{name: factor * getattr(tools.CONFIG, name)})
+            assert log_likelihood(drive, fixes, tools.NOISE, other) < taken

@@ -18,6 +18,7 @@ from heliograph.graph import (
     FactorGraph,
     Huber,
     Information,
+    Isotropic,
     Marginals,
     Solution,
     Values,
@@ -34,6 +35,7 @@ Array = NDArray[np.float64]
 # Keys: the states count from 0, their biases from here; the rest is far above both.
 _BIASES, _MOUNTING, _CLOCK, _GRAVITY = 500_000, 1_000_000, 1_000_001, 1_000_002
 _KERNEL = 5.0  # sigmas of a whole pose (6 numbers) beyond which a scan that was placed wrongly loses weight
+_VAGUE = 1e3  # one-sigma of what nothing is known of [rad], [m], [m/s]
 _ABOUT_NS = 25_000_000  # on either side of an instant
 _SIZES = (0.01, 100.0)  # between which that may change in one round
 
@@ -115,18 +117,10 @@ def estimate(
     given, size = poses.covariance, np.ones(6)
     for _ in range(rounds):
         graph = _graph(poses, imu, inertial, config, start, motion, prior)
-        found = solve(graph, values, initial="given")
-        if found.status not in ("converged", "max_iterations"):
-            raise CalibrationError(
-                f"LiDAR and IMU do not fit each other (the solver {found.status} after {found.iterations} steps): "
-                "check the IMU's axes and units with `heliograph info`, and that both recorded the same motion"
-            )
+        found = _solved(graph, values)
         values = found.values
         residual = _residual(poses, imu, start, motion, values)
-        # With the calibration held: what it leaves open moves poses and mounting together, and no residual.
-        held = graph.copy()
-        held.fix([_MOUNTING, _CLOCK])
-        size = size * _size(poses, residual, Marginals(held, values).covariance(np.arange(len(poses))), values)
+        size = size * _size(poses, residual, _with_calibration_held(graph, values, len(poses)), values)
         poses = replace(poses, covariance=size[:, None] * given * size)
     joint = Marginals(graph, values).joint([_MOUNTING, _CLOCK, _GRAVITY, _BIASES])
     L = np.linalg.cholesky(poses.covariance)
@@ -142,6 +136,26 @@ def estimate(
         whitened=np.linalg.solve(L, residual[:, :, None])[:, :, 0],
         solution=found,
     )
+
+
+def _solved(graph: FactorGraph, values: Values) -> Solution:
+    found = solve(graph, values, initial="given")
+    if found.status in ("diverged", "indefinite"):
+        raise CalibrationError(
+            f"LiDAR and IMU do not fit each other (the solver {found.status} after {found.iterations} steps): "
+            "check the IMU's axes and units with `heliograph info`, and that both recorded the same motion"
+        )
+    return found
+
+
+def _with_calibration_held(graph: FactorGraph, values: Values, count: int) -> Array:
+    """Return the states' covariances (N, 9, 9) with mounting and clock held.
+
+    What these leave open moves poses and mounting together, and no residual.
+    """
+    held = graph.copy()
+    held.fix([_MOUNTING, _CLOCK])
+    return Marginals(held, values).covariance(np.arange(count))
 
 
 def guess_motion(poses: LidarPoses, beliefs: Beliefs, bias: Array) -> Motion:
@@ -230,6 +244,13 @@ def _graph(
             kernel=Huber(_KERNEL),
         )
     )
+    # So vague that they tell nothing; with them it shows without an analysis that the graph determines every variable.
+    vague = Isotropic(_VAGUE)
+    graph.add(GraphPrior(keys, ExtendedPose(motion.X_odom_imu), vague))
+    graph.add(GraphPrior(_BIASES + keys, motion.bias, vague))
+    graph.add(GraphPrior(_GRAVITY, S2(start.g_odom), vague))
+    graph.add(GraphPrior(_MOUNTING, SE3(start.T_imu_lidar), vague))
+    graph.add(GraphPrior(_CLOCK, np.zeros(2), vague))
     biases = Diagonal([config.gyro_bias_sigma] * 3 + [config.accel_bias_sigma] * 3)
     graph.add(GraphPrior(_BIASES, np.zeros(6), biases))
     change = [prior.clock.offset - start.clock.offset, prior.clock.drift - start.clock.drift]

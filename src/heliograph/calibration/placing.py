@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _SIGMA, _KERNEL, _GATE = 0.02, 0.06, 0.15  # across planes [m]; the size of the noise is found from the poses afterwards
-_STEPS, _SETTLED_ROTATION, _SETTLED_POSITION = 6, 1e-6, 1e-5
+_STEPS, _SETTLED_ROTATION, _SETTLED_POSITION = 6, 1e-5, 5e-5
 _AVERAGED = 1_000_000  # points a cube averages: unlike an odometry's map, this one is made of all scans at once
 _LOOSE = 1e-3  # information that keeps a direction which no plane holds where it was [1/rad^2], [1/m^2]
 _FEWEST = 100  # matches

@@ -19,8 +19,8 @@ GRAVITY = 9.80665
 ACCEL_UNITS = {"m/s^2": 1.0, "g": GRAVITY}
 GYRO_UNITS = {"rad/s": 1.0, "deg/s": float(np.pi / 180)}
 FASTEST = 40.0  # rad/s; robots' gyros end at 2000 deg/s, which is 35
-
-
+ALONG = 0.95  # cosine between rate and vertical in a level bend; the centrifugal force tilts what is measured of it
+QUIET = 0.03  # in the sensor's own unit: the jitter of a gyroscope in deg/s is above, of one in rad/s below
 LARGEST = 1e5  # in any unit; beyond it a message is damaged
 
 
@@ -96,8 +96,8 @@ def _gyro(
             f"0.0175: deg/s), r {correlation:.2f}"
         )
         return unit, inferred(name, unit, text)
-    resting = _rest_rate(accel, gyro)
-    if resting is not None and resting > 0.15:
+    resting, turning = _rest_rate(accel, gyro)
+    if resting is not None and resting > 0.15 and not turning:
         text = (
             f"it reads {resting:.3g} at rest: as rad/s a bias of {np.rad2deg(resting):.0f} deg/s, as deg/s a common one"
         )
@@ -105,7 +105,8 @@ def _gyro(
     turned = f"gravity turns too little to tell (r {correlation:.2f})" if count else "gravity turns too little to tell"
     text = f"largest rate {largest:.4g}, {turned}: the ROS unit"
     if resting is not None:
-        text = f"it reads {resting:.3g} at rest, a common bias in rad/s; {text}"
+        found = "calmly about the vertical, as a vehicle in a bend" if turning else "at rest, a common bias in rad/s"
+        text = f"it reads {resting:.3g} {found}; {text}"
     return "rad/s", inferred(name, "rad/s", text, source="default" if resting is None else "data")
 
 
@@ -141,11 +142,20 @@ def _gravity_turn(
     return dot / energy, dot / np.sqrt(energy * float((measured**2).sum())), measured.size
 
 
-def _rest_rate(accel: NDArray[np.float64], gyro: NDArray[np.float64], size: int = 40) -> float | None:
-    """Return the mean rate of the stillest stretch, or None where there is none."""
-    best: tuple[float, float] | None = None
+def _rest_rate(accel: NDArray[np.float64], gyro: NDArray[np.float64], size: int = 40) -> tuple[float | None, bool]:
+    """Return the mean rate of the stillest stretch, None where there is none, and whether it may be a steady turn.
+
+    A vehicle in a bend shakes as little as one at rest. Its rate is along the vertical, which a bias is by chance only,
+    and quieter than a gyroscope that counts in deg/s is at rest.
+    """
+    best: tuple[float, float, bool] | None = None
     for at in range(0, len(accel) - size + 1, size):
-        shake = float(np.linalg.norm(accel[at : at + size].std(axis=0)))
+        rates, force = gyro[at : at + size], accel[at : at + size]
+        shake = float(np.linalg.norm(force.std(axis=0)))
         if shake < 0.15 and (best is None or shake < best[0]):
-            best = (shake, float(np.linalg.norm(gyro[at : at + size].mean(axis=0))))
-    return None if best is None else best[1]
+            rate, up = rates.mean(axis=0), force.mean(axis=0)
+            length = float(np.linalg.norm(rate))
+            upright = abs(float(rate @ up)) > ALONG * length * float(np.linalg.norm(up))
+            jitter = float(np.diff(rates, axis=0).std(axis=0).max()) / np.sqrt(2.0)
+            best = (shake, length, upright and jitter < QUIET)
+    return (None, False) if best is None else best[1:]

@@ -96,7 +96,8 @@ def find_mounting(
     """
     if extrinsic:
         rig = read_extrinsic(Path(extrinsic))
-        return Mounting(rig, (_describe(rig, "given by the user", "override"),), ())
+        notes = (_describe(rig, "given by the user", "override"), *_describe_clock(rig))
+        return Mounting(rig, notes, ())
     if not clouds or not samples:
         rig = Rig(T_imu_lidar=np.eye(4), source="one sensor only: its frame is the body")
         return Mounting(rig, (), ())
@@ -123,6 +124,17 @@ def _describe(rig: Rig, evidence: str, source: str) -> Inference:
         f"({x:.4f}, {y:.4f}, {z:.4f}) m, turned {angle:.2f} deg",
         f"{rig.source}: {evidence}",
         source=source,
+    )
+
+
+def _describe_clock(rig: Rig) -> tuple[Inference, ...]:
+    """Return what the samples' stamps are corrected by, if by anything."""
+    clock = rig.clock
+    if clock.exact:
+        return ()
+    value = f"{1e3 * clock.offset:+.3f} ms, {1e6 * clock.drift:+.1f} ppm"
+    return (
+        inferred("imu clock", value, f"{rig.source}: the samples are brought to the LiDAR's clock", source="override"),
     )
 
 

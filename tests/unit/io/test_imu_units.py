@@ -86,6 +86,18 @@ def test_yawing_vehicle_keeps_the_ros_unit_and_says_so(rng):
     assert (found.value, found.source) == ("rad/s", "default")
 
 
+def test_a_steady_bend_on_wheels_is_not_a_bias_in_degrees(rng):
+    """As calm as rest and pushed outwards: the rate is along the vertical and quieter than a gyroscope in deg/s."""
+    gyro, accel = resting(rng, np.array([0.0, 0.0, 0.8]))
+    gyro[:, 2] += np.linspace(-0.1, 0.1, len(gyro))
+    accel[:, 1] += 1.2
+    found = value(infer_imu_units(samples(gyro, accel), InputConfig()), "gyroscope unit")
+    assert (found.value, found.source) == ("rad/s", "data")
+    assert "bend" in found.evidence
+    noisy = gyro + 0.1 * rng.normal(size=gyro.shape)
+    assert value(infer_imu_units(samples(noisy, accel), InputConfig()), "gyroscope unit").value == "deg/s"
+
+
 def test_overrides_are_obeyed(rng):
     gyro, accel = rocking(rng)
     units = infer_imu_units(samples(gyro, accel), InputConfig(accel_unit="g", gyro_unit="deg/s"))

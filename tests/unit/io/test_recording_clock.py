@@ -44,6 +44,9 @@ def test_recording_brings_the_samples_to_the_lidars_clock(folder, tmp_path):
     assert np.array_equal(raw, sensors.imu_clock_ns)
     assert np.abs(corrected - sensors.imu_stamps_ns).max() <= 1
     assert scans == raw_scans
+    with open_recording(folder, InputConfig(extrinsic=str(tmp_path / "e.toml"))) as recording:
+        [clock] = [inference.value for inference in recording.inferences if inference.name == "imu clock"]
+    assert clock == "+21.000 ms, +40.0 ppm"
 
 
 def test_clock_found_long_ago_is_refused(folder, tmp_path):
