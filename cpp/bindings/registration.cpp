@@ -15,7 +15,8 @@ Tuple to_tuple(const NormalEquations& sums, int columns) {
 }
 
 void check(const MatchSettings& s) {
-  if (s.columns != 6 && s.columns != 12) throw std::invalid_argument("columns must be 6 or 12");
+  if (s.columns != 6 && s.columns != 12 && s.columns != 18)
+    throw std::invalid_argument("columns must be 6, 12 or 18");
   if (!(s.sigma > 0.0) || s.fallback_stride < 0) throw std::invalid_argument("sigma and fallback_stride must be positive");
 }
 
@@ -36,6 +37,8 @@ Tuple planes(const VoxelMap& map, const Points& points, const Floats& before_end
                  double fallback_range, int columns, int threads) {
   const MatchSettings s = settings(gate, kernel, sigma, fallback_stride, fallback_range, columns);
   const MatchScan scan = match_scan(points, before_end, T_odom_body, T_body_lidar);
+  if (columns == 18 && scan.before_end.size() != points.shape(0))
+    throw std::invalid_argument("18 columns need before_end, one time a point");
   NormalEquations sums;
   {
     nb::gil_scoped_release release;
@@ -48,6 +51,8 @@ Tuple nearest_points(const VoxelMap& map, const Points& points, const Floats& be
                          const Matrix4& T_body_lidar, double gate, double kernel, double sigma, int columns, int threads) {
   const MatchSettings s = settings(gate, kernel, sigma, 0, gate, columns);
   const MatchScan scan = match_scan(points, before_end, T_odom_body, T_body_lidar);
+  if (columns == 18 && scan.before_end.size() != points.shape(0))
+    throw std::invalid_argument("18 columns need before_end, one time a point");
   NormalEquations sums;
   {
     nb::gil_scoped_release release;

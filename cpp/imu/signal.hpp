@@ -132,6 +132,13 @@ class ImuWalk {
   bool held_ = false;
 };
 
+// Of a step's small angle five terms of the series are exact to the last bit.
+inline lie::ExpTerms step_terms(double s) {
+  if (s > 0.01) return lie::exp_terms(s);
+  const auto sum = [s](const double* c) { return c[0] + s * (c[1] + s * (c[2] + s * (c[3] + s * c[4]))); };
+  return {sum(lie::kSinc.c), sum(lie::kVersine.c), sum(lie::kCubic.c)};
+}
+
 // One step of rotation by the rate: over half of it, over all of it, and the right Jacobians of both.
 struct StepTurn {
   Eigen::Matrix3d half, whole, half_jacobian, whole_jacobian;
@@ -139,7 +146,7 @@ struct StepTurn {
   StepTurn(const Eigen::Vector3d& rate, double dt) {
     using RowMajor = Eigen::Matrix<double, 3, 3, Eigen::RowMajor>;
     const Eigen::Vector3d turn = 0.5 * dt * rate, twice = dt * rate;
-    const lie::ExpTerms e = lie::exp_terms(turn.squaredNorm());
+    const lie::ExpTerms e = step_terms(turn.squaredNorm());
     // Of twice the angle, by the addition theorems: nothing cancels.
     const double sinc = e.sinc * (1.0 - turn.squaredNorm() * e.versine), versine = 0.5 * e.sinc * e.sinc;
     const double cubic = 0.25 * (e.cubic + e.sinc * e.versine);

@@ -345,7 +345,7 @@ inline double jacobian_row(const MatchInput& in, uint64_t k, const FoundPlane& p
   if (in.columns == 6) return 0.0;
   if (in.before_end == nullptr) return mounting_row(in, plane, q, n, J + 6);
   motion_row(in.before_end[k], n, J, J + 6);
-  return 0.0;
+  return in.columns == 12 ? 0.0 : mounting_row(in, plane, q, n, J + 12);
 }
 
 inline void accumulate(const double* J, int columns, double r, double w, double inv_var, NormalSums* sums) {
@@ -353,7 +353,7 @@ inline void accumulate(const double* J, int columns, double r, double w, double 
   for (int i = 0; i < columns; ++i) {
     const double s = scale * J[i];
     sums->gradient[i] += s * r;
-    for (int j = i; j < columns; ++j) sums->information[12 * i + j] += s * J[j];
+    for (int j = i; j < columns; ++j) sums->information[kRow * i + j] += s * J[j];
   }
   sums->weight += scale;
   sums->robust_weight += w;
@@ -396,7 +396,7 @@ inline void planes_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
     const double n[3] = {plane.normal[0], plane.normal[1], plane.normal[2]};
     double r = n[0] * plane.offset[0] + n[1] * plane.offset[1] + n[2] * plane.offset[2];
     const double inv_var = 1.0 / (in.sigma * in.sigma + static_cast<double>(plane.variance));
-    double J[12];
+    double J[kRow];
     r -= jacobian_row(in, k, plane, q, n, J);
     accumulate(J, in.columns, r, robust_weight(r, in.kernel), inv_var, sums);
     sums->cost += robust_cost(r, in.kernel) * inv_var;
@@ -418,7 +418,7 @@ inline void points_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
     const double w = robust_weight(distance, in.kernel);
     for (int i = 0; i < 3; ++i) {
       const double n[3] = {i == 0 ? 1.0 : 0.0, i == 1 ? 1.0 : 0.0, i == 2 ? 1.0 : 0.0};
-      double J[12];
+      double J[kRow];
       FoundPlane none;
       none.source = 255;
       jacobian_row(in, k, none, q, n, J);

@@ -32,7 +32,7 @@ struct MapView {
 struct MatchInput {
   MapView map;
   const float* points;
-  const float* before_end;  // null: the second six columns are the mounting's
+  const float* before_end;  // null: no columns of the motion
   const double* T_odom_body;
   const double* T_body_lidar;
   const double* remount;  // 6 an insertion: how the mounting has changed since
@@ -40,9 +40,11 @@ struct MatchInput {
   int fallback_stride, columns;
 };
 
+constexpr int kRow = 18;  // errors at most: pose, motion, mounting, six each
+
 struct NormalSums {
-  double information[144];
-  double gradient[12];
+  double information[kRow * kRow];
+  double gradient[kRow];
   double weight, robust_weight, square, cost;
   int64_t matches, fallback_matches;
 };

@@ -81,7 +81,7 @@ NormalEquations sum_chunks(const MatchInput& in, size_t count, int threads, Kern
   for (const NormalSums& part : partial) {
     for (int i = 0; i < in.columns; ++i) {
       total.gradient[i] += part.gradient[i];
-      for (int j = i; j < in.columns; ++j) total.information[i * in.columns + j] += part.information[12 * i + j];
+      for (int j = i; j < in.columns; ++j) total.information[i * in.columns + j] += part.information[kRow * i + j];
     }
     total.weight += part.weight;
     total.robust_weight += part.robust_weight;
@@ -99,7 +99,8 @@ NormalEquations sum_chunks(const MatchInput& in, size_t count, int threads, Kern
 
 NormalEquations match_planes(const VoxelMap& map, const MatchScan& scan, const MatchSettings& settings, int threads) {
   std::vector<double> remount;
-  if (settings.columns > 6 && scan.before_end.empty()) remount = mounting_changes(map, scan.T_body_lidar);
+  if (settings.columns == kMaxColumns || (settings.columns > 6 && scan.before_end.empty()))
+    remount = mounting_changes(map, scan.T_body_lidar);
   return sum_chunks(input(map, scan, remount.data(), settings), scan.points_body.size() / 3, threads, kernels().planes);
 }
 

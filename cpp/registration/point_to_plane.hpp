@@ -8,7 +8,7 @@
 
 namespace heliograph {
 
-constexpr int kMaxColumns = 12;  // rotation 3, position 3, and six of the motion or the mounting
+constexpr int kMaxColumns = 18;  // rotation 3, position 3, then six of the motion, of the mounting, or of both
 
 struct MatchSettings {
   double gate;            // largest residual of a match [m]
@@ -16,7 +16,7 @@ struct MatchSettings {
   double sigma;           // of one range measurement across its plane [m]
   int fallback_stride;    // of the points without a plane, each such one asks for its neighbours; 0: none does
   double fallback_range;  // farthest neighbour [m]
-  int columns;            // 6, or 12
+  int columns;            // 6, 12 or 18
 };
 
 // Sum over matches of J^T w J / s^2 and J^T w r / s^2.
@@ -32,7 +32,7 @@ struct NormalEquations {
 };
 
 // A de-skewed scan at a pose. With 12 columns the second six are velocity and gyroscope bias where `before_end` gives each
-// point's time before the sweep's end [s], else the mounting's rotation and lever arm.
+// point's time before the sweep's end [s], else the mounting's rotation and lever arm; with 18 they are both, in this order.
 struct MatchScan {
   std::span<const float> points_body;  // (N, 3)
   std::span<const float> before_end;   // (N,) or empty

@@ -262,6 +262,13 @@ class FilterConfig:
         A per-measurement eigenvalue below it makes a direction count as blind.
     constant_velocity_accel, constant_velocity_gyro : float
         Noise of the motion model that stands in for a missing IMU [m/s^2/sqrt(Hz)], [rad/s^2/sqrt(Hz)].
+    estimate_mounting, estimate_time_offset : bool
+        Whether the mounting, and the offset of the IMU's clock, are states of the filter; for a mounting that is not
+        known well, see docs/howto/calibrate.md.
+    mounting_rotation_sigma, mounting_lever_sigma, time_offset_sigma : float
+        One-sigma of what they may be off at the start [rad], [m], [s].
+    calibration_gain : float
+        A direction of mounting and clock is left alone until the motion tells it so many times better than that.
     """
 
     max_iterations: int = 6
@@ -284,11 +291,19 @@ class FilterConfig:
     degenerate_rotation: float = 0.003
     constant_velocity_accel: float = 3.0
     constant_velocity_gyro: float = 3.0
+    estimate_mounting: bool = False
+    estimate_time_offset: bool = False
+    mounting_rotation_sigma: float = 0.05
+    mounting_lever_sigma: float = 0.1
+    time_offset_sigma: float = 0.02
+    calibration_gain: float = 5.0
 
     def __post_init__(self) -> None:
         check_range(self, "max_iterations", "min_matches", low=1)
         check_range(self, "sigma", "min_sigma", "max_sigma", "kernel", "gate", "max_kernel", "correlation", above=0.0)
         check_range(self, "tolerance_rotation", "tolerance_position", "lost_sigma", above=0.0)
+        check_range(self, "mounting_rotation_sigma", "mounting_lever_sigma", "time_offset_sigma", above=0.0)
+        check_range(self, "calibration_gain", low=1.0)
         check_range(self, "systematic", "fallback_stride", "vague_share", low=0)
         check_choice(self, "residual", "plane", "point")
 

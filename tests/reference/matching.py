@@ -29,13 +29,16 @@ def mounting_part(T_odom_imu, T_imu_lidar, q, n):
 
 
 def second_row(pose, n, q, T_odom_imu, T_imu_lidar, *, before_end, mounted, source):
-    """The six columns after the pose's, and what to take off the residual.
+    """The six or twelve columns after the pose's, and what to take off the residual.
 
     A mounting error shows only by the difference between what it does here and what it did at the map's first pose;
     ``mounted`` holds that pose, and the mounting that the planes were made with.
     """
-    if before_end is not None:
+    if before_end is not None and mounted is None:
         return motion_row(before_end, pose), 0.0
+    if before_end is not None:
+        more, moved = second_row(pose, n, q, T_odom_imu, T_imu_lidar, before_end=None, mounted=mounted, source=source)
+        return np.concatenate([motion_row(before_end, pose), more]), moved
     if source == 255:
         return np.zeros(6), 0.0
     T_first, T_imu_lidar_then = mounted
@@ -79,7 +82,7 @@ def match_planes_slowly(
             more, moved = second_row(J, n, q, T_odom_imu, T_imu_lidar, before_end=dt, mounted=mounted, source=source)
             J, r = np.concatenate([J, more]), r - moved
         terms.append((J[None], np.array([r]), sigma**2 + variance))
-    return *sums_slowly(terms, 6 if before_end is mounted is None else 12, kernel), fallbacks
+    return *sums_slowly(terms, 6 + 6 * (before_end is not None) + 6 * (mounted is not None), kernel), fallbacks
 
 
 def match_points_slowly(slow_map, points, T_odom_imu, T_imu_lidar, *, gate, kernel, sigma, before_end=None):

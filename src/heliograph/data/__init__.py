@@ -5,6 +5,7 @@ from heliograph.data.event import Event
 from heliograph.data.gnss import GnssFix
 from heliograph.data.imu import ImuBatch, ImuNoise
 from heliograph.data.nav_state import NavState
+from heliograph.data.online_calibration import OnlineCalibration
 from heliograph.data.result import ScanResult
 from heliograph.data.rig import Rig
 from heliograph.data.scan import Scan
@@ -18,6 +19,7 @@ __all__ = [
     "ImuClock",
     "ImuNoise",
     "NavState",
+    "OnlineCalibration",
     "Rig",
     "Scan",
     "ScanResult",

@@ -12,7 +12,7 @@ __all__ = ["NavState"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NavState:
-    """Pose, velocity, biases, gravity and mounting at one instant, with the covariance of their errors.
+    """Pose, velocity, biases, gravity, mounting and clock at one instant, with the covariance of their errors.
 
     Parameters
     ----------
@@ -29,7 +29,9 @@ class NavState:
         Mounting [m].
     covariance : (K, K) float64
         K = 17: rotation (body) 3, position (odom) 3, velocity (odom) 3, gyro bias 3, accelerometer bias 3, gravity
-        direction 2. K = 23 adds mounting rotation (lidar) 3 and lever arm (imu) 3.
+        direction 2. K = 23 adds mounting rotation (lidar) 3 and lever arm (imu) 3, K = 24 also the clock offset.
+    imu_offset : float
+        What the IMU's clock shows more than the LiDAR's, whose stamps the state bears [s].
     """
 
     stamp_ns: int
@@ -41,6 +43,7 @@ class NavState:
     g_odom: NDArray[np.float64]
     T_imu_lidar: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    imu_offset: float = 0.0
 
     @property
     def T_odom_imu(self) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data.event import Event
+from heliograph.data.online_calibration import OnlineCalibration
 from heliograph.data.trajectory import Trajectory
 
 __all__ = ["ScanResult"]
@@ -75,6 +76,8 @@ class ScanResult:
         Stage name -> milliseconds.
     events : tuple of Event
         What went wrong in this scan.
+    calibration : OnlineCalibration or None
+        Where mounting or clock are estimated along.
     """
 
     index: int
@@ -105,3 +108,4 @@ class ScanResult:
     weak_direction: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     timings: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
+    calibration: OnlineCalibration | None = None

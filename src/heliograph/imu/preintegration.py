@@ -28,6 +28,7 @@ __all__ = ["Preintegration", "preintegrate"]
 
 Array = NDArray[np.float64]
 
+_DEFAULT = ImuConfig()
 _SHARED = {"imu", "noise", "config"}  # of all intervals
 
 
@@ -87,16 +88,15 @@ class Preintegration:
     config: ImuConfig
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if field.name not in _SHARED:
-                getattr(self, field.name).flags.writeable = False
+        for name in _OF_EACH:
+            getattr(self, name).setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.start_ns)
 
     def __getitem__(self, index: slice | NDArray[Any]) -> Preintegration:
         """Return some of the intervals, by a slice or an array of indices."""
-        parts: dict[str, Any] = {f.name: getattr(self, f.name)[index] for f in fields(self) if f.name not in _SHARED}
+        parts: dict[str, Any] = {name: getattr(self, name)[index] for name in _OF_EACH}
         return replace(self, **parts)
 
     @property
@@ -149,6 +149,9 @@ class Preintegration:
         return np.concatenate([gyro - self.gyro_bias, accel - self.accel_bias], axis=1), gyro, accel
 
 
+_OF_EACH = tuple(field.name for field in fields(Preintegration) if field.name not in _SHARED)
+
+
 def preintegrate(
     imu: ImuBatch,
     start_ns: ArrayLike,
@@ -189,7 +192,7 @@ def preintegrate(
     """
     if len(imu) == 0:
         raise DataError("no IMU sample to preintegrate; without an IMU use a constant-velocity model")
-    config = config or ImuConfig()
+    config = config or _DEFAULT
     start, end = (np.atleast_1d(np.asarray(stamps)) for stamps in (start_ns, end_ns))
     if start.dtype.kind not in "iu" or end.dtype.kind not in "iu" or start.ndim != 1 or start.shape != end.shape:
         raise DataError(
@@ -203,23 +206,30 @@ def preintegrate(
         raise DataError(f"interval {k} ends {1e-9 * float(start[k] - end[k]):.3f} s before it starts; swap them")
     gyro, accel = _biases(gyro_bias, len(start)), _biases(accel_bias, len(start))
     R, p, v, times, by_bias, covariance, combined = _core.preintegrate(
-        imu.stamps_ns, imu.gyro, imu.accel, start, end, np.hstack([gyro, accel]), model_numbers(noise, config)
+        imu.stamps_ns,
+        imu.gyro,
+        imu.accel,
+        start,
+        end,
+        np.concatenate([gyro, accel], axis=1),
+        model_numbers(noise, config),
     )
+    duration_s, gravity_s, gravity_s2, held_s = times.T.copy()
     return Preintegration(
         start_ns=start,
         end_ns=end,
-        duration_s=times[:, 0].copy(),
+        duration_s=duration_s,
         delta_R=R,
         delta_p=p,
         delta_v=v,
-        gravity_s=times[:, 1].copy(),
-        gravity_s2=times[:, 2].copy(),
+        gravity_s=gravity_s,
+        gravity_s2=gravity_s2,
         covariance=covariance,
         combined=combined,
         bias_jacobian=by_bias,
         gyro_bias=gyro,
         accel_bias=accel,
-        held_s=times[:, 3].copy(),
+        held_s=held_s,
         imu=imu,
         noise=noise,
         config=config,
@@ -231,4 +241,6 @@ def _biases(bias: ArrayLike, count: int) -> Array:
     array = np.asarray(bias, dtype=np.float64)
     if array.shape not in ((3,), (count, 3)) or not np.isfinite(array).all():
         raise DataError(f"a bias is (3,) or ({count}, 3) finite numbers, got shape {array.shape}")
-    return np.array(np.broadcast_to(array, (count, 3)), order="C")
+    each = np.empty((count, 3))
+    each[:] = array
+    return each

@@ -11,12 +11,15 @@ from heliograph import _core
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState
 from heliograph.errors import DataError
+from heliograph.imu.clock_shift import clock_shift
 from heliograph.lie import s2
 
 __all__ = ["NAV_DIM", "ImuPath", "model_numbers", "propagate"]
 
 NAV_DIM = 17
-"""Errors that inertial propagation moves; mounting errors, if estimated, follow and stay."""
+"""Errors that inertial propagation moves; those of mounting and clock, if estimated, follow and stay."""
+
+_CLOCK = 23
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,15 +92,16 @@ def propagate(
         np.ascontiguousarray(g_basis),
         model,
     )
-    covariance = _grown(state.covariance, transition, added)
     moved = replace(
         state,
         stamp_ns=int(end_ns),
         R_odom_imu=R[-1].copy(),
         p_odom=p[-1].copy(),
         v_odom=v[-1].copy(),
-        covariance=covariance,
     )
+    late = len(state.covariance) > _CLOCK
+    shift = clock_shift(state, moved, imu, transition, noise) if late else None
+    moved = replace(moved, covariance=_grown(state.covariance, transition, added, shift))
     return moved, ImuPath(stamps_ns=stamps, R_odom_imu=R, p_odom=p, v_odom=v, held_s=held_s)
 
 
@@ -120,11 +124,21 @@ def model_numbers(noise: ImuNoise, config: ImuConfig) -> NDArray[np.float64]:
 
 
 def _grown(
-    before: NDArray[np.float64], transition: NDArray[np.float64], added: NDArray[np.float64]
+    before: NDArray[np.float64],
+    transition: NDArray[np.float64],
+    added: NDArray[np.float64],
+    shift: NDArray[np.float64] | None,
 ) -> NDArray[np.float64]:
-    """Return ``F P F^T + Q`` with F and Q over the first `NAV_DIM` errors; what follows them only correlates."""
+    """Return ``F P F^T + Q`` with F and Q over the first `NAV_DIM` errors.
+
+    What follows them only correlates; but where there is a ``shift`` (17,), the clock's offset moves them by it.
+    """
     covariance, nav = before.copy(), slice(0, NAV_DIM)
     covariance[nav] = transition @ covariance[nav]
+    if shift is not None:
+        covariance[nav] += np.outer(shift, covariance[_CLOCK])
     covariance[:, nav] = covariance[:, nav] @ transition.T
+    if shift is not None:
+        covariance[:, nav] += np.outer(covariance[:, _CLOCK], shift)
     covariance[nav, nav] += added
     return np.asarray(0.5 * (covariance + covariance.T))

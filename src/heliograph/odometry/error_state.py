@@ -1,7 +1,7 @@
 """The error state: how a correction is applied to a navigation state, and how two states differ.
 
 Order: rotation (right perturbation), position, velocity, gyro bias, accelerometer bias, gravity direction on S(2)
-[, mounting rotation (right), lever arm].
+[, mounting rotation (right), lever arm [, clock offset of the IMU]].
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 from heliograph.data import NavState
 from heliograph.lie import s2, so3
 
-__all__ = ["MOUNTING_DIM", "NAV_DIM", "local", "mounting_error", "reset_jacobian", "retract"]
+__all__ = ["CLOCK", "MOUNTING", "NAV_DIM", "local", "mounting_error", "reset_jacobian", "retract"]
 
 Array = NDArray[np.float64]
 
 NAV_DIM = 17
-MOUNTING_DIM = 6
+MOUNTING = slice(17, 23)
+CLOCK = 23
+"""Where the errors of mounting and clock are, if the state has them."""
 
 
 def retract(state: NavState, delta: Array) -> NavState:
-    """Return ``state`` moved by the error vector ``delta`` (17,) or (23,); covariance and stamp are kept."""
+    """Return ``state`` moved by the error vector ``delta`` (17,), (23,) or (24,); covariance and stamp are kept."""
     magnitude = float(np.linalg.norm(state.g_odom))
     g_odom = state.g_odom
     if magnitude > 0.0:
@@ -42,6 +44,7 @@ def retract(state: NavState, delta: Array) -> NavState:
         accel_bias=state.accel_bias + delta[12:15],
         g_odom=g_odom,
         T_imu_lidar=T_imu_lidar,
+        imu_offset=state.imu_offset + float(delta[CLOCK]) if len(delta) > CLOCK else state.imu_offset,
     )
 
 
@@ -57,7 +60,9 @@ def local(origin: NavState, state: NavState) -> Array:
     if magnitude > 0.0:
         delta[15:17] = s2.local(origin.g_odom / magnitude, state.g_odom / np.linalg.norm(state.g_odom))
     if len(delta) > NAV_DIM:
-        delta[17:23] = mounting_error(origin.T_imu_lidar, state.T_imu_lidar)
+        delta[MOUNTING] = mounting_error(origin.T_imu_lidar, state.T_imu_lidar)
+    if len(delta) > CLOCK:
+        delta[CLOCK] = state.imu_offset - origin.imu_offset
     return delta
 
 

@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from heliograph.cloud import deskew, range_gate
 from heliograph.config import RunConfig
-from heliograph.data import ImuBatch, NavState, Scan, ScanResult
+from heliograph.data import ImuBatch, NavState, OnlineCalibration, Scan, ScanResult
 from heliograph.imu import ImuPath
 from heliograph.lie import se3
 from heliograph.maps import LocalMap, VoxelMap
+from heliograph.odometry.calibration_gate import CalibrationGate
 from heliograph.odometry.drift import MapDrift
-from heliograph.odometry.matching import AdaptiveNoise, Thinning, is_vague, register
-from heliograph.odometry.motion import MotionModel, corrected_path, sweep_path
+from heliograph.odometry.matching import AdaptiveNoise, Online, Thinning, is_vague, register
+from heliograph.odometry.motion import MotionModel, corrected_path, rate_change, sweep_path
+from heliograph.odometry.remounting import anchoring, is_bent, widened
 from heliograph.odometry.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.update import UpdateResult
 from heliograph.registration import NormalEquations
@@ -62,18 +64,24 @@ class FilterCore:
         self._motion, self._config, self._threads = motion, config, threads
         # Points enter the map with the mounting of the start, whatever is learnt of it: a changing one would bend it.
         self._T_imu_lidar = start.T_imu_lidar
+        self._gate = CalibrationGate.at_start(start, config.filter)
         self._thinning = Thinning(config.cloud)
         self._usual_share = 0.0
         self._drift = MapDrift(config.filter.systematic)
         self._pruned_at = start.p_odom
         self._history: ImuPath | None = None
         self._anchor: NDArray[np.float64] | None = None
-        self._count = 0
+        self._count = self._map_scans = 0
+
+    @property
+    def calibration(self) -> OnlineCalibration | None:
+        """Mounting and clock as they are believed now, None where they are not estimated under a gate."""
+        return None if self._gate is None else self._gate.account(self.state)
 
     def process(self, scan: Scan, imu: ImuBatch) -> ScanResult:
         """Process one scan; the numbers are those of docs/theory/filter.md."""
         watch = Stopwatch()
-        prior, path = self._motion.predict(self.state, imu, scan.end_ns)  # (1) state, (2) covariance
+        prior, path = self._predict(imu, scan.end_ns)  # (1) state, (2) covariance
         watch.lap("predict")
 
         keep = range_gate(scan.points, self._config.cloud.min_range, self._config.cloud.max_range)
@@ -83,6 +91,8 @@ class FilterCore:
 
         fit = self._match(prior, path, scan, points[picked], offsets[picked])  # (3) to (7)
         posterior = fit.state if fit is not None else _anchored(prior) if len(self.map) == 0 else prior
+        if self._gate is not None and fit is not None:
+            posterior = self._settled_mounting(posterior)
         sweep, path = sweep_path(path, prior, posterior), corrected_path(path, posterior)  # (8)
         watch.lap("match")
 
@@ -107,6 +117,8 @@ class FilterCore:
             timings=watch.laps,
             config=self._config.filter,
         )
+        if self._gate is not None:
+            result = replace(result, calibration=self._gate.account(outcome.state))
         if outcome.fit is not None:
             self.noise = self.noise.updated(outcome.fit.linearization.rms, self._config.filter)
         self.state, self._history, self._count = outcome.state, outcome.path, self._count + 1
@@ -115,13 +127,41 @@ class FilterCore:
     def dead_reckon(self, end_ns: int, imu: ImuBatch) -> ScanResult:
         """Carry the state to ``end_ns`` on the motion model alone."""
         watch = Stopwatch()
-        self.state, path = self._motion.predict(self.state, imu, end_ns)
+        self.state, path = self._predict(imu, end_ns)
         watch.lap("predict")
         self._count += 1
         covariance = self._drift.pose_covariance(self.state)
-        return dead_reckoned(
+        result = dead_reckoned(
             index=self._count - 1, state=self.state, pose_covariance=covariance, path=path, timings=watch.laps
         )
+        return result if self._gate is None else replace(result, calibration=self._gate.account(self.state))
+
+    def _predict(self, imu: ImuBatch, end_ns: int) -> tuple[NavState, ImuPath]:
+        if self._gate is not None:
+            self._gate = self._gate.predicted(self._motion, self.state, imu, end_ns)
+        return self._motion.predict(self.state, imu, end_ns)
+
+    def _online(self, path: ImuPath) -> Online | None:
+        """Return what an update must know of the calibration states, None where there are none."""
+        if self._gate is None or self._anchor is None:
+            return None
+        R_first = self._anchor[:3, :3] @ self._T_imu_lidar[:3, :3].T
+        return Online(considered=self._gate.considered(), rate_change=rate_change(path), R_first=R_first)
+
+    def _settled_mounting(self, state: NavState) -> NavState:
+        """Begin the map anew where a better mounting has shown it to be bent; its first pose defines its frame."""
+        assert self._gate is not None
+        self._map_scans += 1
+        if not (isinstance(self.map, VoxelMap) and is_bent(self._T_imu_lidar, state, self._map_scans)):
+            return state
+        self._drift.grow(state, 1.0, sigma=self.noise.sigma, matched=True)
+        M = anchoring(state)
+        state = widened(state, self._T_imu_lidar, self._gate.considered())
+        state = replace(state, covariance=M @ state.covariance @ M.T)
+        self._gate = self._gate.moved(M)
+        self.map, self._anchor, self._map_scans = VoxelMap(self._config.map), None, 0
+        self._T_imu_lidar = state.T_imu_lidar
+        return state
 
     def _deskew(
         self, points: NDArray[np.float32], offsets: NDArray[np.int32], scan: Scan, path: ImuPath
@@ -147,10 +187,10 @@ class FilterCore:
             return None
         before_end = ((scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)).astype(np.float32)
 
-        predicted = self._deskew(points, offsets, scan, path)
+        predicted, online = self._deskew(points, offsets, scan, path), self._online(path)
 
         def points_at(state: NavState) -> NDArray[np.float32]:
-            if _same_sweep(prior, state):
+            if _same_sweep(prior, state, path):
                 return predicted
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
@@ -163,10 +203,15 @@ class FilterCore:
             noise=self.noise,
             config=config,
             threads=self._threads,
+            online=online,
         )
-        return fit if self._trusted(prior, fit) else None
+        if not self._trusted(prior, fit, online):
+            return None
+        if self._gate is not None:
+            self._gate = self._gate.updated(fit.linearization)
+        return fit
 
-    def _trusted(self, prior: NavState, fit: UpdateResult[NormalEquations]) -> bool:
+    def _trusted(self, prior: NavState, fit: UpdateResult[NormalEquations], online: Online | None) -> bool:
         """Whether enough points match; after a vague prediction that also means: about as many as before it.
 
         A scan that was led to a wrong place by a prediction that allowed for one finds planes there too, but fewer.
@@ -175,7 +220,7 @@ class FilterCore:
         if found.matches < config.min_matches:
             return False
         share = found.matches / found.queries
-        if is_vague(prior, self.noise, config) and share < config.vague_share * self._usual_share:
+        if is_vague(prior, self.noise, config, online) and share < config.vague_share * self._usual_share:
             return False
         self._usual_share += 0.1 * (share - self._usual_share) if self._usual_share > 0.0 else share
         return True
@@ -208,7 +253,11 @@ class FilterCore:
             self._pruned_at = state.p_odom
 
 
-def _same_sweep(prior: NavState, state: NavState) -> bool:
+def _same_sweep(prior: NavState, state: NavState, path: ImuPath) -> bool:
+    if state.imu_offset != prior.imu_offset:
+        later = (state.imu_offset - prior.imu_offset) * rate_change(path)
+        if float(np.linalg.norm(later)) >= _SAME_RATE:
+            return False
     speed = float(np.linalg.norm(state.R_odom_imu.T @ state.v_odom - prior.R_odom_imu.T @ prior.v_odom))
     rate = float(np.linalg.norm(state.gyro_bias - prior.gyro_bias))
     return speed < _SAME_SPEED and rate < _SAME_RATE

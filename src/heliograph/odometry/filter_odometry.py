@@ -7,14 +7,19 @@ from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult, StartAccount
+from heliograph.imu.clock_shift import AROUND
 from heliograph.lie import so3
 from heliograph.maps import LocalMap
+from heliograph.odometry.calibration_gate import uncertain_rig, with_calibration
 from heliograph.odometry.filter import FilterCore
+from heliograph.odometry.motion import offset_ns
 from heliograph.odometry.sequencer import Packet, Sequencer
 from heliograph.odometry.start import FirstLook, find_start, look
 
 __all__ = ["FilterOdometry"]
 
+# Samples are kept so many times longer than they are needed: the next offset may be a smaller one.
+_FORGET = 20
 _LEVEL_DEG, _TILTED_DEG = 0.2, 1.0  # a map whose level is known no better deserves a remark, or a warning [deg]
 
 
@@ -45,11 +50,13 @@ class FilterOdometry:
         self.events: list[Event] = []
         self.core: FilterCore | None = None
         self.start: StartAccount | None = None
-        self._config, self._rig, self._threads, self._local_map = config, rig, threads, local_map
+        self._config, self._threads, self._local_map = config, threads, local_map
+        self._rig = uncertain_rig(rig, config.filter)
         self._sensors = sensors & {"lidar", "imu"}
         self._sequencer = Sequencer(self._sensors)
         self._waiting: list[Packet] = []
         self._first: FirstLook | None = None
+        self._around_ns = int(1e9 * AROUND) if config.filter.estimate_time_offset else 0
 
     def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
         """Take one message and return the results that it made ready."""
@@ -58,7 +65,7 @@ class FilterOdometry:
     def finish(self) -> list[ScanResult]:
         """Return the results still waiting."""
         results = self._advance(self._sequencer.finish(), ended=True)
-        self.events += self._doubts()
+        self.events += [*self._doubts(), *self._calibrated()]
         return results
 
     def leveling(self) -> NDArray[np.float64]:
@@ -81,6 +88,20 @@ class FilterOdometry:
         )
         severity = "warning" if tilt >= _TILTED_DEG else "info"
         return [Event(code="tilt-uncertain", message=text, stamp_ns=self.core.state.stamp_ns, severity=severity)]
+
+    def _calibrated(self) -> list[Event]:
+        """Return what was found of mounting and clock."""
+        found = self.core.calibration if self.core is not None else None
+        if found is None:
+            return []
+        sigma = found.sigma
+        text = (
+            f"estimated along: mounting rotation to +- {np.degrees(sigma[:3].max()):.2f} deg, lever arm to "
+            f"+- {sigma[3:6].max():.3f} m, clock offset {1e3 * found.imu_offset:.2f} +- {1e3 * sigma[6]:.2f} ms"
+        )
+        if found.kept_names:
+            text += f"; not excited and kept as given: {', '.join(found.kept_names)} - turn about all axes to tell them"
+        return [Event(code="online-calibration", message=text, severity="info")]
 
     def _advance(self, packets: list[Packet], *, ended: bool) -> list[ScanResult]:
         self._waiting += packets
@@ -109,17 +130,18 @@ class FilterOdometry:
         start = find_start(self._waiting, imu, self._rig, self._config, threads=self._threads, first=self._first)
         self.events += start.events
         self.start = start.account
-        self.core = FilterCore(
-            start.state, start.motion, self._config, local_map=self._local_map, threads=self._threads
-        )
+        state = with_calibration(start.state, self._config.filter) if start.motion.inertial else start.state
+        self.core = FilterCore(state, start.motion, self._config, local_map=self._local_map, threads=self._threads)
         return True
 
     def _step(self, packet: Packet) -> ScanResult:
         assert self.core is not None
-        imu = self._sequencer.imu.between(self.core.state.stamp_ns, packet.end_ns)
+        offset, around = offset_ns(self.core.state), self._around_ns
+        imu = self._sequencer.imu.between(self.core.state.stamp_ns + offset - around, packet.end_ns + offset + around)
         if packet.scan is not None:
             result = self.core.process(packet.scan, imu)
         else:
             result = self.core.dead_reckon(packet.end_ns, imu)
-        self._sequencer.imu.forget_before(self.core.state.stamp_ns)
+        self._sequencer.imu.forget_before(self.core.state.stamp_ns + offset - _FORGET * around)
+        self._sequencer.lead_ns = offset_ns(self.core.state) + around
         return result

@@ -12,11 +12,11 @@ from heliograph.cloud import voxel_downsample
 from heliograph.config import CloudConfig, FilterConfig
 from heliograph.data import NavState
 from heliograph.maps import LocalMap
-from heliograph.odometry.error_state import NAV_DIM, mounting_error
+from heliograph.odometry.error_state import CLOCK, MOUNTING, NAV_DIM, mounting_error
 from heliograph.odometry.update import UpdateResult, iterated_update
 from heliograph.registration import MatchSettings, NormalEquations, linearize
 
-__all__ = ["AdaptiveNoise", "Thinning", "is_vague", "register"]
+__all__ = ["AdaptiveNoise", "Online", "Thinning", "is_vague", "register", "with_clock"]
 
 # A prediction's rotation error moves points by its sine times their distance; this distance stands for the cloud.
 _TYPICAL_RANGE = 15.0
@@ -58,17 +58,51 @@ class AdaptiveNoise:
         return AdaptiveNoise(sigma)
 
 
-def _opening(prior: NavState, sigma: float, config: FilterConfig) -> float:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Online:
+    """What an update needs to know where mounting and clock are among the states.
+
+    Parameters
+    ----------
+    considered : (24, 24) float64
+        Projection onto the directions that must not move.
+    rate_change : (3,) float64
+        Of the body's rate within the sweep [rad/s^2].
+    R_first : (3, 3) float64
+        Rotation of the map's first pose: what a mounting error did there, it did to the whole map.
+    """
+
+    considered: NDArray[np.float64]
+    rate_change: NDArray[np.float64]
+    R_first: NDArray[np.float64]
+
+
+def _pose_covariance(prior: NavState, online: Online | None) -> NDArray[np.float64]:
+    """Return the covariance (6, 6) of where the LiDAR stands on its map.
+
+    A mounting error shifts pose and map together, so that the pose alone would look far less certain than the match.
+    """
+    if online is None:
+        return prior.covariance[:6, :6]
+    B = np.eye(6, len(prior.covariance))
+    turn = prior.R_odom_imu.T @ online.R_first
+    B[0:3, 17:20] = (np.eye(3) - turn) @ prior.T_imu_lidar[:3, :3]
+    B[3:6, 20:23] = prior.R_odom_imu - online.R_first
+    return np.asarray(B @ prior.covariance @ B.T)
+
+
+def _opening(prior: NavState, sigma: float, config: FilterConfig, online: Online | None = None) -> float:
     """Kernel scale of the first iteration: wide enough for what the prediction does not know [m]."""
-    position = float(np.linalg.eigvalsh(prior.covariance[3:6, 3:6])[-1])
-    rotation = float(np.linalg.eigvalsh(prior.covariance[0:3, 0:3])[-1])
+    covariance = _pose_covariance(prior, online)
+    position = float(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1])
+    rotation = float(np.linalg.eigvalsh(covariance[0:3, 0:3])[-1])
     unknown = np.sqrt(max(position, 0.0) + _TYPICAL_RANGE**2 * max(rotation, 0.0))
     return float(np.clip(2.0 * unknown, config.kernel * sigma, config.max_kernel))
 
 
-def is_vague(prior: NavState, noise: AdaptiveNoise, config: FilterConfig) -> bool:
+def is_vague(prior: NavState, noise: AdaptiveNoise, config: FilterConfig, online: Online | None = None) -> bool:
     """Whether the prediction allows for errors well beyond what the final kernel forgives."""
-    return _opening(prior, noise.sigma, config) > 3.0 * config.kernel * noise.sigma
+    return _opening(prior, noise.sigma, config, online) > 3.0 * config.kernel * noise.sigma
 
 
 def register(
@@ -81,18 +115,19 @@ def register(
     noise: AdaptiveNoise,
     config: FilterConfig,
     threads: int,
+    online: Online | None = None,
 ) -> UpdateResult[NormalEquations]:
     """Update ``prior`` with the points of a scan, imu frame at its stamp.
 
     ``points_at(state)`` gives them de-skewed, (N, 3) float32 [m], ``before_end`` (N,) how long before [s].
     They, and the map, were made with ``T_imu_lidar``; where the state's own mounting differs from it, the residuals are
-    corrected to first order.
+    corrected to first order. ``online`` is given where mounting and clock are gated states.
 
     The kernel narrows down to ``config.kernel`` sigmas as the pose settles (graduated non-convexity in its simplest
     form), so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
     """
-    mounting = len(prior.covariance) > NAV_DIM
-    kernel = _NarrowingKernel(_opening(prior, noise.sigma, config), config.kernel * noise.sigma)
+    mounting = len(prior.covariance) > NAV_DIM and bool(prior.covariance[MOUNTING, MOUNTING].any())
+    kernel = _NarrowingKernel(_opening(prior, noise.sigma, config, online), config.kernel * noise.sigma)
 
     def measure(state: NavState, iteration: int) -> NormalEquations:
         scale = kernel.at(state, iteration)
@@ -103,6 +138,7 @@ def register(
             fallback_stride=0 if mounting else config.fallback_stride,
             residual=config.residual,
             mounting=mounting,
+            both=online is not None,
             threads=threads,
         )
         equations = linearize(
@@ -110,7 +146,9 @@ def register(
         )
         if mounting:
             off = mounting_error(T_imu_lidar, state.T_imu_lidar)
-            equations = replace(equations, gradient=equations.gradient + equations.information[:, 6:] @ off)
+            equations = replace(equations, gradient=equations.gradient + equations.information[:, -6:] @ off)
+        if online is not None:
+            equations = with_clock(equations, online.rate_change)
         share = 1.0 / config.correlation
         return replace(
             equations,
@@ -126,6 +164,20 @@ def register(
         tolerance_rotation=config.tolerance_rotation,
         tolerance_position=config.tolerance_position,
         settled=lambda _: kernel.scale <= kernel.final,
+        considered=online.considered if online is not None else None,
+    )
+
+
+def with_clock(equations: NormalEquations, rate_change: NDArray[np.float64]) -> NormalEquations:
+    """Add the column of the clock's offset: within the sweep it acts as a gyroscope bias of minus the rates' change."""
+    size = len(equations.columns)
+    G = np.eye(size, size + 1)
+    G[9:12, size] = -rate_change
+    return replace(
+        equations,
+        columns=np.append(equations.columns, CLOCK),
+        information=G.T @ equations.information @ G,
+        gradient=G.T @ equations.gradient,
     )
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.config import FilterConfig, ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState
 from heliograph.imu import ImuPath, propagate
 from heliograph.lie import so3
 
-__all__ = ["MotionModel", "corrected_path", "sweep_path"]
+__all__ = ["MotionModel", "corrected_path", "offset_ns", "rate_change", "sweep_path"]
 
 
 class MotionModel:
@@ -43,20 +44,43 @@ class MotionModel:
         if not self.inertial:
             stamps = np.array([state.stamp_ns, max(end_ns, state.stamp_ns + 1)], dtype=np.int64)
             imu = ImuBatch(stamps_ns=stamps, gyro=np.zeros((2, 3)), accel=np.zeros((2, 3)), received_ns=0)
+        elif state.imu_offset != 0.0:
+            imu = replace(imu, stamps_ns=imu.stamps_ns - offset_ns(state))
         moved, path = propagate(state, imu, end_ns, noise=self._noise, config=self._config)
         # Without an IMU none of its samples is missing, however long the way from scan to scan.
         return moved, path if self.inertial else replace(path, held_s=0.0)
+
+
+def offset_ns(state: NavState) -> int:
+    """Return what the IMU's clock shows more than the LiDAR's [ns]."""
+    return round(1e9 * state.imu_offset)
+
+
+def rate_change(path: ImuPath) -> NDArray[np.float64]:
+    """Return the mean change of the body's rate over a path, (3,) [rad/s^2]: its second half against its first."""
+    stamps = path.stamps_ns
+    middle = len(stamps) // 2
+    first, second = float(stamps[middle] - stamps[0]) * 1e-9, float(stamps[-1] - stamps[middle]) * 1e-9
+    if middle == 0 or min(first, second) <= 0.0:
+        return np.zeros(3)
+    R = path.R_odom_imu
+    change = so3.log(R[middle].T @ R[-1]) / second - so3.log(R[0].T @ R[middle]) / first
+    return np.asarray(change / (0.5 * (first + second)))
 
 
 def sweep_path(path: ImuPath, prior: NavState, state: NavState) -> ImuPath:
     """Return the motion within a sweep as ``state`` at its end has it, for de-skewing.
 
     ``path`` was predicted with the velocity and gyroscope bias of ``prior``; an error of theirs grows backwards from
-    the sweep's end. Changing both here does to the points exactly what the Jacobian of the registration says it does.
+    the sweep's end. Changing both here does to the points exactly what the Jacobian of the registration says it does. A
+    clock offset that differs looks up other rates within the sweep: a bias as large as they change in that time.
     """
     before = (path.stamps_ns[-1] - path.stamps_ns)[:, None] * 1e-9
     end = path.p_odom[-1]
-    turned = path.R_odom_imu @ so3.exp(before * (state.gyro_bias - prior.gyro_bias))
+    bias = state.gyro_bias - prior.gyro_bias
+    if state.imu_offset != prior.imu_offset:
+        bias = bias - (state.imu_offset - prior.imu_offset) * rate_change(path)
+    turned = path.R_odom_imu @ so3.exp(before * bias)
     align = state.R_odom_imu @ path.R_odom_imu[-1].T
     return replace(
         path,

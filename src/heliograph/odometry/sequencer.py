@@ -98,6 +98,8 @@ class Sequencer:
     def __init__(self, sensors: frozenset[str], interval_ns: int = 100_000_000) -> None:
         self.imu = ImuBuffer()
         self.events: list[Event] = []
+        self.lead_ns = 0
+        """How far past a scan's end the IMU's stamps must have come [ns]."""
         self._sensors = sensors
         self._interval_ns = interval_ns
         self._waiting: list[Scan] = []
@@ -138,10 +140,10 @@ class Sequencer:
     def _ready(self, scan: Scan, now_ns: int) -> bool:
         if "imu" not in self._sensors:
             return True
-        if self.imu.last_ns is not None and self.imu.last_ns >= scan.end_ns:
+        if self.imu.last_ns is not None and self.imu.last_ns >= scan.end_ns + self.lead_ns:
             return True
         # The recorder's clock may differ from the sensor's: patience counts from whichever is later.
-        return now_ns > max(scan.end_ns, scan.received_ns) + self.imu.period_ns + PATIENCE_NS
+        return now_ns > max(scan.end_ns, scan.received_ns) + max(self.lead_ns, 0) + self.imu.period_ns + PATIENCE_NS
 
     def _cut_intervals(self) -> list[Packet]:
         packets: list[Packet] = []

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from heliograph.data import NavState
 from heliograph.odometry.error_state import local, reset_jacobian, retract
 
-__all__ = ["Linearization", "UpdateResult", "iterated_update"]
+__all__ = ["Linearization", "UpdateResult", "embedded", "iterated_update"]
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class UpdateResult(Generic[L]):
     """Squared correction of pose in units of its predicted uncertainty; about 6 on average when that is honest."""
 
 
-def _embed(measurement: Linearization, dim: int) -> tuple[Array, Array]:
+def embedded(measurement: Linearization, dim: int) -> tuple[Array, Array]:
     """Spread the measurement over the whole error state."""
     A, b = np.zeros((dim, dim)), np.zeros(dim)
     A[np.ix_(measurement.columns, measurement.columns)] = measurement.information
@@ -73,6 +73,7 @@ def iterated_update(
     tolerance_rotation: float,
     tolerance_position: float,
     settled: Callable[[int], bool] = lambda _: True,
+    considered: Array | None = None,
 ) -> UpdateResult[L]:
     """Find the state that fits prior and measurement best, by Gauss-Newton, and its covariance.
 
@@ -86,13 +87,16 @@ def iterated_update(
         Converged when a step is smaller [rad], [m] ...
     settled : callable
         ... and ``settled(iteration)`` says that the measurement's own settings have reached their final values.
+    considered : (K, K) float64, optional
+        Projects an error onto what must not move: its uncertainty counts in the gain of all else and stays as it is
+        (S. Schmidt, "Application of state-space methods to navigation problems", 1966). The correlations are learnt.
     """
     state, dim = prior, len(prior.covariance)
     identity = np.eye(dim)
     converged = False
     for iteration in range(max_iterations):
         measurement = linearize(state, iteration)
-        A, b = _embed(measurement, dim)
+        A, b = embedded(measurement, dim)
         # The prior seen from the iterate: its mean lies at -offset, its covariance is carried over by the reset
         # Jacobian.
         offset = local(prior, state)
@@ -100,6 +104,8 @@ def iterated_update(
         P = J @ prior.covariance @ J.T
         gain_form = np.linalg.inv(identity + P @ A)
         step = -gain_form @ (P @ b + J @ offset)
+        if considered is not None:
+            step = step - considered @ step
         before, state = state, retract(state, step)
         small = (
             float(np.linalg.norm(step[0:3])) < tolerance_rotation
@@ -110,6 +116,9 @@ def iterated_update(
             break
     J_step = reset_jacobian(before, step)
     covariance = J_step @ gain_form @ P @ J_step.T
+    if considered is not None:
+        # The gain of all else is the optimal one, so only the block of what stayed differs from the full update's.
+        covariance += considered @ (J_step @ P @ J_step.T - covariance) @ considered.T
     total = local(prior, state)[:6]
     moved = prior.covariance[:6, :6] - covariance[:6, :6]
     nis = _normalised_square(total, moved)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.atomic import check_output_directory, write_text
-from heliograph.data import GnssFix, ImuBatch, Scan, ScanResult
+from heliograph.data import GnssFix, ImuBatch, OnlineCalibration, Scan, ScanResult
 from heliograph.errors import OutputError
 from heliograph.io.clouds import write_cloud
 from heliograph.output.facts import final_facts
@@ -110,6 +110,7 @@ class RunFolder(Sink):
         self.record: RunRecord | None = None
         self._map = global_map
         self._count = 0
+        self._calibration: OnlineCalibration | None = None
         with self._nothing_left_on_failure():
             write_text(path / "config.toml", config)
             write_text(path / "run.json", json.dumps({"status": "running", **self.facts}, indent=2, default=str) + "\n")
@@ -136,6 +137,7 @@ class RunFolder(Sink):
         if self._map is not None and len(result.points_imu) and result.status != "lost":
             with self._timed("map"):
                 self._map.insert(result.points_imu, result.intensity, result.T_odom_imu)
+        self._calibration = result.calibration
         self._count += 1
         if self._count % _FLUSH_EVERY == 0:
             with self._timed("trajectory"):
@@ -161,6 +163,8 @@ class RunFolder(Sink):
                 write_cloud(path, points, intensity)
                 self.files.append(path)
         self.facts = dict(self._facts())
+        if self._calibration is not None:
+            self.facts["online_calibration"] = self._calibration.summary()
         self.record = RunRecord(
             name=self.name, folder=self.path, summary=summary, scans=table, points_map=points, intensity=intensity,
             facts=self.facts, config=self.config,

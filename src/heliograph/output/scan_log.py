@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.data import ScanResult
+from heliograph.data import OnlineCalibration, ScanResult
 from heliograph.io.csvs import CsvWriter
+from heliograph.lie import so3
 
 __all__ = ["ScanLog", "ScanTable"]
 
@@ -46,6 +47,16 @@ FLOATS = (
     *_triple("sigma_gyro_bias"),
     *_triple("sigma_accel_bias"),
     *_triple("position"),
+)
+# Written after the others where mounting and clock are estimated along; they are not remembered for the report.
+CALIBRATION = (
+    *_triple("mounting_rotation"),
+    *_triple("lever_arm"),
+    "imu_offset",
+    *_triple("sigma_mounting_rotation"),
+    *_triple("sigma_lever_arm"),
+    "sigma_imu_offset",
+    "directions_kept",
 )
 # Columns that are vectors in the odom frame and turn with it when gravity is re-estimated at the end.
 ODOM_VECTORS = ("weak_direction", "velocity", "position")
@@ -112,6 +123,7 @@ class ScanLog:
         self._statuses: list[str] = []
         self._timings: list[dict[str, float]] = []
         self._position_covariances: list[NDArray[np.float64]] = []
+        self._calibrations: list[NDArray[np.float64]] = []
         self._writer: CsvWriter | None = None
         self._stages: tuple[str, ...] = ()
 
@@ -129,6 +141,8 @@ class ScanLog:
         self._integers.append(integers)
         self._floats.append(floats)
         self._statuses.append(result.status)
+        if result.calibration is not None:
+            self._calibrations.append(_calibration(result.calibration))
         self._timings.append(dict(result.timings))
         self._position_covariances.append(result.pose_covariance[3:, 3:].copy())
         if self._writer is None:
@@ -169,12 +183,15 @@ class ScanLog:
         )
 
     def _columns(self) -> tuple[str, ...]:
-        return (*INTEGERS, "verdict", *FLOATS, "ms_total", *(f"ms_{stage}" for stage in self._stages))
+        more = CALIBRATION if self._calibrations else ()
+        return (*INTEGERS, "verdict", *FLOATS, "ms_total", *(f"ms_{stage}" for stage in self._stages), *more)
 
     def _row(self, integers: tuple[int, ...], floats: NDArray[np.float64], number: int) -> list[int | float | str]:
         timings = self._timings[number]
         stages = [round(timings.get(stage, 0.0), 4) for stage in self._stages]
-        return [*integers, self._statuses[number], *_shortened(floats), round(sum(timings.values()), 4), *stages]
+        more = _shortened(self._calibrations[number]) if self._calibrations else []
+        total = round(sum(timings.values()), 4)
+        return [*integers, self._statuses[number], *_shortened(floats), total, *stages, *more]
 
     def _turned(self, floats: NDArray[np.float64], R_map_odom: NDArray[np.float64]) -> NDArray[np.float64]:
         floats = floats.copy()
@@ -197,6 +214,11 @@ def sigmas(result: ScanResult) -> NDArray[np.float64]:
     variances = np.concatenate([np.diagonal(result.pose_covariance), np.diagonal(result.covariance)[9:15]])
     deviations: NDArray[np.float64] = np.sqrt(np.maximum(variances, 0.0))
     return deviations
+
+
+def _calibration(found: OnlineCalibration) -> NDArray[np.float64]:
+    turn = so3.log(found.T_imu_lidar[:3, :3])
+    return np.concatenate([turn, found.T_imu_lidar[:3, 3], [found.imu_offset], found.sigma, [found.kept.sum()]])
 
 
 def _shortened(floats: NDArray[np.float64]) -> list[float]:

@@ -33,7 +33,9 @@ class MatchSettings:
         ``"plane"``, or ``"point"``: the distance to the nearest stored point, for comparison only. Its information is
         the identity whatever the geometry, so it cannot see a degenerate one.
     mounting : bool
-        Also by the mounting's rotation and lever arm, in the place of the motion.
+        Also by the mounting's rotation and lever arm.
+    both : bool
+        Whether a mounting leaves the columns of the motion in place, instead of taking theirs.
     threads : int
         Of the native loop; the result does not depend on it.
     """
@@ -44,12 +46,14 @@ class MatchSettings:
     fallback_stride: int = 1
     residual: str = "plane"
     mounting: bool = False
+    both: bool = False
     threads: int = 1
 
 
 _COLUMNS_POSE = np.arange(6)
 _COLUMNS_MOTION = np.arange(12)
 _COLUMNS_MOUNTING = np.concatenate([np.arange(6), np.arange(17, 23)])
+_COLUMNS_BOTH = np.concatenate([np.arange(12), np.arange(17, 23)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,8 +63,8 @@ class NormalEquations:
     Parameters
     ----------
     columns : (C,) int
-        Which errors of the filter's state the columns are: rotation (body) and position (odom), then either velocity
-        (odom) and gyro bias, or mounting rotation (lidar) and lever arm (imu).
+        Which errors of the filter's state the columns are: rotation (body) and position (odom), then velocity (odom)
+        and gyro bias, or mounting rotation (lidar) and lever arm (imu), or all of these.
     information : (C, C) float64
         Sum of ``w / s^2 J^T J``.
     gradient : (C,) float64
@@ -129,7 +133,7 @@ def linearize(
     """
     if settings.residual not in ("plane", "point"):
         raise ConfigError(f"residual '{settings.residual}' is not one of 'plane', 'point'")
-    motion = before_end is not None and not settings.mounting
+    motion = before_end is not None and (settings.both or not settings.mounting)
     if not isinstance(local_map, VoxelMap):
         if settings.mounting:
             raise ConfigError(
@@ -146,14 +150,19 @@ def linearize(
         settings.kernel,
         settings.sigma,
     )
-    columns = 12 if settings.mounting or motion else 6
+    errors = _errors(mounting=settings.mounting, motion=motion)
     if settings.residual == "plane":
         stride, reach = settings.fallback_stride, local_map.config.fallback_range
-        sums = _core.match_planes(*scan, stride, reach, columns, settings.threads)
+        sums = _core.match_planes(*scan, stride, reach, len(errors), settings.threads)
     else:
-        sums = _core.match_points(*scan, columns, settings.threads)
-    errors = _COLUMNS_MOUNTING if settings.mounting else _COLUMNS_MOTION if motion else _COLUMNS_POSE
+        sums = _core.match_points(*scan, len(errors), settings.threads)
     return _from_sums(sums, errors, len(points_imu))
+
+
+def _errors(*, mounting: bool, motion: bool) -> NDArray[np.intp]:
+    if mounting:
+        return _COLUMNS_BOTH if motion else _COLUMNS_MOUNTING
+    return _COLUMNS_MOTION if motion else _COLUMNS_POSE
 
 
 def _from_sums(sums: tuple[Any, ...], columns: NDArray[np.intp], queries: int) -> NormalEquations:
@@ -202,11 +211,7 @@ def _linearize_any(
     return NormalEquations(
         information=weighted.T @ J,
         gradient=weighted.T @ r,
-        columns=_COLUMNS_MOUNTING
-        if settings.mounting
-        else _COLUMNS_MOTION
-        if before_end is not None
-        else _COLUMNS_POSE,
+        columns=_errors(mounting=False, motion=before_end is not None),
         weight=float((w * inv_var).sum()),
         robust_weight=float(w.sum()),
         square=float((w * r * r).sum()),

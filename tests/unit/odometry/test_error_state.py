@@ -18,7 +18,7 @@ def large_delta(rng, dim):
     return delta
 
 
-@pytest.mark.parametrize("dim", [17, 23])
+@pytest.mark.parametrize("dim", [17, 23, 24])
 @pytest.mark.parametrize("seed", range(5))
 def test_local_inverts_retract(seed, dim):
     rng = np.random.default_rng(seed)
@@ -26,11 +26,11 @@ def test_local_inverts_retract(seed, dim):
     moved = retract(state, delta)
     np.testing.assert_allclose(local(state, moved), delta, atol=1e-10)
     back = retract(moved, local(moved, state))
-    for name in ("R_odom_imu", "p_odom", "v_odom", "gyro_bias", "accel_bias", "g_odom", "T_imu_lidar"):
+    for name in ("R_odom_imu", "p_odom", "v_odom", "gyro_bias", "accel_bias", "g_odom", "T_imu_lidar", "imu_offset"):
         np.testing.assert_allclose(getattr(back, name), getattr(state, name), atol=1e-10, err_msg=name)
 
 
-@pytest.mark.parametrize("dim", [17, 23])
+@pytest.mark.parametrize("dim", [17, 23, 24])
 @pytest.mark.parametrize("seed", range(5))
 def test_reset_jacobian_is_the_derivative_at_large_errors(seed, dim):
     rng = np.random.default_rng(seed)

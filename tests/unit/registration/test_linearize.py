@@ -80,8 +80,9 @@ def test_sums_equal_brute_force(seed, kind, residual):
     assert_equal_sums(got, expected)
 
 
+@pytest.mark.parametrize("both", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_sums_by_the_mounting_equal_brute_force(seed):
+def test_sums_by_the_mounting_equal_brute_force(seed, both):
     """The map was begun at another pose, with a mounting that has been corrected by a little since."""
     rng = np.random.default_rng(seed)
     fast, slow_map = VoxelMap(CONFIG), SlowVoxelMap(CONFIG)
@@ -91,10 +92,14 @@ def test_sums_by_the_mounting_equal_brute_force(seed):
     fast.insert(cloud, T_first, T_il_then)
     slow_map.insert(cloud, T_first)
     _, _, T, points = scene(rng, points=6)
-    got = linearize(fast, points, T, T_il, replace(SETTINGS, mounting=True))
+    before_end = rng.uniform(0.0, 0.1, len(points)).astype(np.float32) if both else None
+    settings = replace(SETTINGS, mounting=True, both=both)
+    got = linearize(fast, points, T, T_il, settings, before_end=before_end)
     expected = match_planes_slowly(
-        slow_map, points, T, T_il, gate=0.25, kernel=0.1, sigma=0.03, mounted=(T_first, T_il_then)
-    )
+        slow_map, points, T, T_il, gate=0.25, kernel=0.1, sigma=0.03, before_end=before_end,
+        mounted=(T_first, T_il_then),
+    )  # fmt: skip
+    assert len(got.columns) == (18 if both else 12)
     assert got.matches > 50
     assert_equal_sums(got, expected)
 
