@@ -30,7 +30,7 @@ _UNBOUNDED = 1 << 40
 _LIGHT, _FEW = 2e6, 5000
 # Of what may be relinearised or solved in one update, one part of so many is granted with each for what was put off; it
 # is spent when one part of so many has been saved up, so that most updates, those of one pose, stay short.
-_GRANTED, _WORTH = 32, 4
+_GRANTED, _WORTH = 64, 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ class ISAM2Settings:
         them, and is no reason to wait. All are computed where a threshold is zero, where convergence is asked for, and
         in an update without factors.
     most_relinearized : int
-        So many variables are linearised anew in one update; the others wait. Later updates take up a 32nd of this and
+        So many variables are linearised anew in one update; the others wait. Later updates take up a 64th of this and
         of ``most_steps`` each, gathered to quarters. Exceptions as for ``most_steps``.
 
     Raises

@@ -151,8 +151,8 @@ def test_relinearisation_is_limited_and_caught_up_with():
     counts = np.array([result.relinearized for result in results])
     assert counts.max() <= limit
     assert any(result.pending for result in results)
-    # At most a 32nd of the limit an update in the long run, in parts that are worth an elimination.
-    assert np.all(np.cumsum(counts) <= limit + limit // 32 * np.arange(1, len(counts) + 1))
+    # At most a 64th of the limit an update in the long run, in parts that are worth an elimination.
+    assert np.all(np.cumsum(counts) <= limit + limit // 64 * np.arange(1, len(counts) + 1))
     waited = np.array([result.pending > 0 for result in results[:-1]])
     assert np.count_nonzero(counts[1:][waited] == 0) > 3
     assert smoother.update().pending == 0 or smoother.update().pending == 0
