@@ -67,7 +67,7 @@ class Pair {
     return failed;
   }
 
-  void check() const {
+  void check() {
     const auto [H, b, first] = dense();
     const Vector x = H.size() > 0 ? Vector(H.ldlt().solve(b)) : Vector();
     std::vector<int32_t> all;
