@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.calibration.beliefs import Beliefs, LidarPoses, Motion
+from heliograph.calibration.plane_map import PlaneMap, turn_against
 from heliograph.cloud import deskew, range_gate, voxel_downsample
 from heliograph.config import ImuConfig, RunConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState, Scan
 from heliograph.errors import CalibrationError
 from heliograph.imu import propagate
 from heliograph.lie import interpolate_se3, se3, so3
-from heliograph.maps import VoxelMap
 from heliograph.odometry.motion import corrected_path
-from heliograph.registration import MatchSettings, linearize
+from heliograph.registration import MatchSettings
 
 __all__ = ["LidarPath", "Placer", "lidar_path"]
 
@@ -25,8 +25,7 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _SIGMA, _KERNEL, _GATE = 0.02, 0.06, 0.15  # across planes [m]; the size of the noise is found from the poses afterwards
-_STEPS, _SETTLED_ROTATION, _SETTLED_POSITION = 6, 1e-5, 5e-5
-_AVERAGED = 1_000_000  # points a cube averages: unlike an odometry's map, this one is made of all scans at once
+_STEPS, _SETTLED_ROTATION, _SETTLED_POSITION = 8, 5e-6, 2e-5
 _LOOSE = 1e-3  # information that keeps a direction which no plane holds where it was [1/rad^2], [1/m^2]
 _FEWEST = 100  # matches
 
@@ -116,6 +115,7 @@ class Placer:
         self._config, self._threads = config, threads
         self._leaf = 0.2
         self._picks: dict[int, NDArray[np.int32]] = {}
+        self._R_map_odom: Array | None = None
 
     def place(self, path: LidarPath) -> LidarPoses:
         """Return the poses of the scans that lie inside the path, at the mean times of their points.
@@ -127,9 +127,7 @@ class Placer:
         """
         inside = [k for k, scan in enumerate(self._scans) if _covers(path, scan)]
         swept = [self._deskewed(self._scans[k], path) for k in inside]
-        local_map = VoxelMap(replace(self._config.map, max_points=_AVERAGED))
-        for scan in swept:
-            local_map.insert(scan.points, scan.T_odom_lidar, np.eye(4))
+        local_map = self._mapped(swept)
         found = [self._register(scan, self._pick(k, scan), local_map) for k, scan in zip(inside, swept, strict=True)]
         good = [(scan, *fit) for scan, fit in zip(swept, found, strict=True) if fit is not None]
         if len(good) < 3 or 2 * len(good) < len(swept):
@@ -142,6 +140,18 @@ class Placer:
             T_odom_lidar=np.stack([T for _, T, _ in good]),
             covariance=np.stack([covariance for _, _, covariance in good]),
         )
+
+    def _mapped(self, swept: Sequence[_Swept]) -> PlaneMap:
+        """Return the map of all scans, its cubes turned against the walls that the first one finds."""
+        if self._R_map_odom is None:
+            self._R_map_odom = turn_against(*self._map_turned(swept, np.eye(3)).normals())
+        return self._map_turned(swept, self._R_map_odom)
+
+    def _map_turned(self, swept: Sequence[_Swept], R_map_odom: Array) -> PlaneMap:
+        local_map = PlaneMap(self._config.map, R_map_odom)
+        for scan in swept:
+            local_map.insert(scan.points, scan.T_odom_lidar)
+        return local_map
 
     def _deskewed(self, scan: Scan, path: LidarPath) -> _Swept:
         middle_ns = scan.stamp_ns + int(np.rint(scan.offsets_ns.mean()))
@@ -172,22 +182,21 @@ class Placer:
             self._picks[k] = picked
         return np.ascontiguousarray(scan.points[self._picks[k]])
 
-    def _register(self, scan: _Swept, points: NDArray[np.float32], local_map: VoxelMap) -> tuple[Array, Array] | None:
+    def _register(self, scan: _Swept, points: NDArray[np.float32], local_map: PlaneMap) -> tuple[Array, Array] | None:
         """Return the pose and its covariance (right perturbation) by the planes alone, or None without enough."""
         settings = MatchSettings(gate=_GATE, kernel=_KERNEL, sigma=_SIGMA, fallback_stride=0, threads=self._threads)
         T = scan.T_odom_lidar
+        points = local_map.settled(points, T, _GATE)
         for _ in range(_STEPS):
-            equations = linearize(local_map, points, T, np.eye(4), settings)
+            equations = local_map.linearize(points, T, settings)
             if equations.matches < _FEWEST:
                 return None
-            step = -np.linalg.solve(equations.information + _LOOSE * np.eye(6), equations.gradient)
-            T = se3.from_rotation_translation(T[:3, :3] @ so3.exp(step[:3]), T[:3, 3] + step[3:])
+            information = equations.information + _LOOSE * np.eye(6)
+            step = -np.linalg.solve(information, equations.gradient)
+            T = se3.from_rotation_translation(T[:3, :3] @ so3.exp(step[:3]), T[:3, 3] + T[:3, :3] @ step[3:])
             if np.linalg.norm(step[:3]) < _SETTLED_ROTATION and np.linalg.norm(step[3:]) < _SETTLED_POSITION:
                 break
-        # The registration's position error is along odom axes; a right perturbation's is along the body's.
-        turn = np.eye(6)
-        turn[3:, 3:] = T[:3, :3]
-        return T, np.linalg.inv(turn.T @ equations.information @ turn + _LOOSE * np.eye(6))
+        return T, np.asarray(np.linalg.inv(information), dtype=np.float64)
 
 
 def _covers(path: LidarPath, scan: Scan) -> bool:
