@@ -36,11 +36,7 @@ def test_calibration_of_recordings_keeps_to_the_bars(scenario):
         assert names == ([] if scenario == "calibration" else ["lever arm along z"])
 
 
-# The scans of a drive in a plane share a slow error of 0.005 deg that no residual shows: docs/theory/calibration.md.
-SHARED = pytest.mark.xfail(reason="sigmas of roll and pitch come out a third too small in the plane", strict=False)
-
-
-@pytest.mark.parametrize("scenario", ["calibration", pytest.param("planar", marks=SHARED)])
+@pytest.mark.parametrize("scenario", ["calibration", "planar"])
 def test_calibration_of_recordings_keeps_to_its_sigmas(scenario):
     trials = trials_of(scenario)
     low, high = nees_band(sum(trial.told for trial in trials), len(trials), share=0.999)
