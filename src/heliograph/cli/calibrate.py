@@ -31,7 +31,7 @@ def calibrate(
     extrinsic: options.Extrinsic = None,
     start: options.Start = None,
     duration: options.Duration = None,
-    threads: Annotated[int, typer.Option("--threads", metavar="N", min=1, help="For the native loops.")] = 1,
+    threads: options.Threads = None,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
     json: options.Json = False,
@@ -46,10 +46,13 @@ def calibrate(
     from heliograph.cli.calibrate_noise import noise_command
 
     resolved = options.build_config(
-        config, settings, input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration)
+        config,
+        settings,
+        run={"threads": threads},
+        input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration),
     )
     folder = output or Path(f"{recordings[0].resolve().stem}_calibration")
     if noise:
         noise_command(recordings, resolved, folder, overwrite=overwrite, json=json, quiet=quiet)
         return
-    mounting_command(recordings, resolved, folder, overwrite=overwrite, threads=threads, json=json, quiet=quiet)
+    mounting_command(recordings, resolved, folder, overwrite=overwrite, json=json, quiet=quiet)

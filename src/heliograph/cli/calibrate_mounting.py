@@ -23,7 +23,7 @@ The clock belongs to this recording: on another day calibrate again, or leave dr
 
 
 def mounting_command(
-    paths: list[Path], config: RunConfig, folder: Path, *, overwrite: bool, threads: int, json: bool, quiet: bool
+    paths: list[Path], config: RunConfig, folder: Path, *, overwrite: bool, json: bool, quiet: bool
 ) -> None:
     """Do what ``heliograph calibrate`` does without ``--noise``: find, write, print.
 
@@ -38,7 +38,7 @@ def mounting_command(
 
     if (folder / _EXTRINSIC).exists() and not overwrite:
         raise OutputError(f"{folder} holds a calibration already; choose another with -o or add --overwrite")
-    found, warnings = _found(paths, config, threads)
+    found, warnings = _found(paths, config)
     facts = {**calibration_facts(found), "warnings": warnings, "folder": str(folder), "files": [_EXTRINSIC, _FACTS]}
     _write(folder, found, facts)
     if json or quiet:
@@ -50,7 +50,7 @@ def mounting_command(
     _show(found, facts)
 
 
-def _found(paths: list[Path], config: RunConfig, threads: int) -> tuple[Calibration, list[str]]:
+def _found(paths: list[Path], config: RunConfig) -> tuple[Calibration, list[str]]:
     """Calibrate a recording; return what was found, and what to warn of."""
     from contextlib import closing
 
@@ -58,6 +58,7 @@ def _found(paths: list[Path], config: RunConfig, threads: int) -> tuple[Calibrat
     from heliograph.calibration import calibrate as find
     from heliograph.io import open_recording
 
+    threads = pipeline.thread_count(config)
     with open_recording(paths, config.input, sensors="lidar,imu") as recording:
         with closing(pipeline.messages(recording, frozenset({"lidar", "imu"}), threads)) as stream:
             found = find(stream, recording.rig, config, threads=threads)

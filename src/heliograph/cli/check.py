@@ -34,9 +34,7 @@ def check(
     extrinsic: options.Extrinsic = None,
     start: options.Start = None,
     duration: options.Duration = None,
-    threads: Annotated[
-        int | None, typer.Option("--threads", metavar="N", min=0, help="Default: min(2, cores).")
-    ] = None,
+    threads: options.Threads = None,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
     json: options.Json = False,

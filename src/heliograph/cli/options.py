@@ -39,6 +39,7 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="One setting, such as output.map_voxel=0.2; repeatable."),
 ]
+Threads = Annotated[int | None, typer.Option("--threads", metavar="N", min=0, help="Default: min(2, cores).")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object to standard output.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no closing lines; only warnings and errors.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]

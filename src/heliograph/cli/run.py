@@ -38,9 +38,7 @@ def run(
     extrinsic: options.Extrinsic = None,
     start: options.Start = None,
     duration: options.Duration = None,
-    threads: Annotated[
-        int | None, typer.Option("--threads", metavar="N", min=0, help="Default: min(2, cores).")
-    ] = None,
+    threads: options.Threads = None,
     frame: Annotated[
         str | None,
         typer.Option("--frame", metavar="NAME", help="Body of the poses: imu, lidar or a frame of the recording."),

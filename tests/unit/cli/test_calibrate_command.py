@@ -5,7 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from heliograph.cli.main import main
 from heliograph.io.extrinsic import read_extrinsic, write_extrinsic
 from heliograph.lie import so3
 from heliograph.sim import SCENARIOS, simulate
@@ -30,18 +29,6 @@ def calibrated(folder, tmp_path_factory):
     start = type(sensors.rig)(T_imu_lidar=wrong, source="wrong")
     write_extrinsic(out / "wrong.toml", start, {})
     return sensors, start, out
-
-
-@pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        capsys.readouterr()
-        code = main([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def test_calibrate_writes_what_run_takes_and_says_what_it_could_not_tell(call, folder, calibrated):

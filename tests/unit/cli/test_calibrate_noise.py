@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from heliograph.cli.main import main
 from heliograph.config import ImuConfig
 from heliograph.config_toml import load_config
 from heliograph.sim.messages import Messages
@@ -43,18 +42,6 @@ def moving(tmp_path_factory):
     t = 1e-9 * (imu.stamps_ns - START_NS)[:, None]
     imu = replace(imu, gyro=imu.gyro + 0.3 * np.sin(2.0 * t), accel=imu.accel + np.sin(3.0 * t))
     return recorded(tmp_path_factory.mktemp("drive") / "drive", imu)
-
-
-@pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        capsys.readouterr()
-        code = main([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def test_rest_writes_its_files_and_a_table_of_the_axes(call, resting, tmp_path):

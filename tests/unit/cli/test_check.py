@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from heliograph.checks import IMU_CHECKS
-from heliograph.cli.main import main
 from heliograph.io import open_recording
 from heliograph.io.rosbag import RosbagSource
 from heliograph.sim import find_scenario
@@ -17,18 +16,6 @@ from heliograph.sim.write import write_recording
 def recording(tmp_path_factory):
     scenario = find_scenario("room").thinned(beams=16, columns=128, duration=9.0).varied(walk={"rest": 1.0})
     return write_recording(tmp_path_factory.mktemp("check") / "room", scenario, seed=4).folder
-
-
-@pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        capsys.readouterr()
-        code = main([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def test_check_of_a_sound_recording_ends_well(call, recording):

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from heliograph.cli import progress
-from heliograph.cli.main import main
 from heliograph.config_toml import load_config
 from heliograph.io.clouds import read_cloud
 from heliograph.io.tum import read_tum
@@ -34,18 +33,6 @@ def recording(tmp_path_factory):
 def no_report(monkeypatch):
     """Leave out the pictures: a second a run, and they have their own tests."""
     monkeypatch.setattr("heliograph.report.write_report", lambda _: [])
-
-
-@pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        capsys.readouterr()
-        code = main([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return run
 
 
 def test_run_writes_the_contract_files_into_the_default_folder(call, recording, tmp_path):

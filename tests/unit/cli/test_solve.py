@@ -1,11 +1,11 @@
 """`heliograph solve`: the contract, on small graphs."""
 
+import functools
 import json
 
 import numpy as np
 import pytest
 
-from heliograph.cli.main import main
 from heliograph.graph import (
     Between,
     FactorGraph,
@@ -25,15 +25,8 @@ KEYS = {"initial_chi2", "final_chi2", "iterations", "status", "solve_seconds", "
 
 
 @pytest.fixture
-def call(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        capsys.readouterr()
-        code = main(["solve", *map(str, arguments)])
-        return code, *capsys.readouterr()
-
-    return run
+def solve(call):
+    return functools.partial(call, "solve")
 
 
 @pytest.fixture
@@ -50,8 +43,8 @@ def facts(result):
     return json.loads(out), err
 
 
-def test_solve_tells_in_a_few_lines(call, city):
-    code, out, err = call("city.g2o")
+def test_solve_tells_in_a_few_lines(solve, city):
+    code, out, err = solve("city.g2o")
     assert (code, err) == (0, "")
     lines = out.splitlines()
     assert lines[0] == f"120 poses in the plane, {119 + city.loops} edges, 1 held"
@@ -61,8 +54,8 @@ def test_solve_tells_in_a_few_lines(call, city):
     assert lines[-1] == "status: converged"
 
 
-def test_solve_json_is_one_object(call, city):
-    found, _ = facts(call("city.g2o", "--json"))
+def test_solve_json_is_one_object(solve, city):
+    found, _ = facts(solve("city.g2o", "--json"))
     assert set(found) >= KEYS
     assert found["final_chi2"] < found["initial_chi2"]
     assert found["final_chi2"] == pytest.approx(found["degrees_of_freedom"], rel=0.3)
@@ -71,10 +64,10 @@ def test_solve_json_is_one_object(call, city):
     assert found["written"] == []
 
 
-def test_all_solvers_and_starts_reach_one_optimum(call, city):
-    best = facts(call("city.g2o", "--json"))[0]["final_chi2"]
+def test_all_solvers_and_starts_reach_one_optimum(solve, city):
+    best = facts(solve("city.g2o", "--json"))[0]["final_chi2"]
     for options in (["--solver", "gn"], ["--solver", "dogleg"], ["--init", "odometry"], ["--init", "chordal"]):
-        assert facts(call("city.g2o", "--json", *options))[0]["final_chi2"] == pytest.approx(best, rel=1e-4)
+        assert facts(solve("city.g2o", "--json", *options))[0]["final_chi2"] == pytest.approx(best, rel=1e-4)
 
 
 REPLAY_KEYS = {
@@ -83,9 +76,9 @@ REPLAY_KEYS = {
 }
 
 
-def test_isam2_replays_from_odometry_and_ends_at_the_optimum(call, city):
-    best = facts(call("city.g2o", "--json"))[0]["final_chi2"]
-    found, err = facts(call("city.g2o", "--json", "--solver", "isam2", "-o", "out.g2o"))
+def test_isam2_replays_from_odometry_and_ends_at_the_optimum(solve, city):
+    best = facts(solve("city.g2o", "--json"))[0]["final_chi2"]
+    found, err = facts(solve("city.g2o", "--json", "--solver", "isam2", "-o", "out.g2o"))
     assert err == ""
     assert set(found) >= KEYS | REPLAY_KEYS
     assert found["final_chi2"] == pytest.approx(best, rel=1e-6)
@@ -95,28 +88,28 @@ def test_isam2_replays_from_odometry_and_ends_at_the_optimum(call, city):
     assert found["p50_ms"] <= found["p99_ms"] <= found["max_ms"]
     assert found["init"] == "odometry"
     assert (found["relinearize_skip"], found["relinearize_threshold"], found["wildfire"]) == (1, 0.1, 1e-3)
-    assert facts(call("out.g2o", "--json"))[0]["initial_chi2"] == pytest.approx(best, rel=1e-4)
+    assert facts(solve("out.g2o", "--json"))[0]["initial_chi2"] == pytest.approx(best, rel=1e-4)
 
 
-def test_isam2_does_not_look_at_the_vertices(call, city, tmp_path):
+def test_isam2_does_not_look_at_the_vertices(solve, city, tmp_path):
     write_g2o(tmp_path / "bare.g2o", city.file)
     write_g2o(tmp_path / "true.g2o", city.file.with_values(truth_of(city)))
     results = []
     for name in ("bare.g2o", "true.g2o"):
-        found, err = facts(call(name, "--solver", "isam2", "--json"))
+        found, err = facts(solve(name, "--solver", "isam2", "--json"))
         assert err == ""
         results.append((found["last_update_chi2"], found["reeliminated"]))
     assert results[0] == results[1]
 
 
-def test_isam2_takes_its_thresholds(call, city):
+def test_isam2_takes_its_thresholds(solve, city):
     options = ("city.g2o", "--json", "--solver", "isam2")
-    usual = facts(call(*options))[0]
-    exact = facts(call(*options, "--relinearize-threshold", 0, "--wildfire", 0))[0]
-    rare = facts(call(*options, "--relinearize-skip", 50))[0]
+    usual = facts(solve(*options))[0]
+    exact = facts(solve(*options, "--relinearize-threshold", 0, "--wildfire", 0))[0]
+    rare = facts(solve(*options, "--relinearize-skip", 50))[0]
     assert rare["relinearized"] < exact["relinearized"]
     assert exact["reeliminated"] > usual["reeliminated"]
-    assert "an update" in call("city.g2o", "--solver", "isam2")[1]
+    assert "an update" in solve("city.g2o", "--solver", "isam2")[1]
 
 
 def truth_of(world):
@@ -125,46 +118,46 @@ def truth_of(world):
     return values
 
 
-def test_output_is_the_graph_with_solved_poses(call, city, tmp_path):
-    found, _ = facts(call("city.g2o", "-o", "out.g2o", "--json"))
+def test_output_is_the_graph_with_solved_poses(solve, city, tmp_path):
+    found, _ = facts(solve("city.g2o", "-o", "out.g2o", "--json"))
     assert found["written"] == ["out.g2o"]
     before, after = read_pose_graph(tmp_path / "city.g2o"), read_pose_graph(tmp_path / "out.g2o")
     assert (before.tables[1].numbers == after.tables[1].numbers).all()
-    again, _ = facts(call("out.g2o", "--json"))
+    again, _ = facts(solve("out.g2o", "--json"))
     assert again["initial_chi2"] == pytest.approx(found["final_chi2"], rel=1e-6)
     assert again["final_chi2"] == pytest.approx(found["final_chi2"], rel=1e-4)
 
 
-def test_file_without_vertices_starts_from_odometry_and_says_so(call, city, tmp_path):
+def test_file_without_vertices_starts_from_odometry_and_says_so(solve, city, tmp_path):
     write_g2o(tmp_path / "bare.g2o", city.file)
-    found, err = facts(call("bare.g2o", "-o", "full.g2o", "--json"))
+    found, err = facts(solve("bare.g2o", "-o", "full.g2o", "--json"))
     assert "no variable has a vertex line in bare.g2o" in err
     assert found["init"] == "odometry"
-    assert found["final_chi2"] == pytest.approx(facts(call("city.g2o", "--json"))[0]["final_chi2"], rel=1e-4)
+    assert found["final_chi2"] == pytest.approx(facts(solve("city.g2o", "--json"))[0]["final_chi2"], rel=1e-4)
     assert len(read_pose_graph(tmp_path / "full.g2o").missing_ids) == 0
     lines = (tmp_path / "city.g2o").read_text().splitlines(keepends=True)
     (tmp_path / "some.g2o").write_text("".join(lines[1:]))
-    found, err = facts(call("some.g2o", "--json"))
+    found, err = facts(solve("some.g2o", "--json"))
     assert "1 of 120 variables lack a vertex line" in err
-    assert "lack" not in call("some.g2o", "--init", "odometry")[2]
+    assert "lack" not in solve("some.g2o", "--init", "odometry")[2]
 
 
-def test_toro_and_archives_are_read_and_written(call, rng, tmp_path):
+def test_toro_and_archives_are_read_and_written(solve, rng, tmp_path):
     world = grid_walk(60, rng)
     file = world.file.with_values(world.file.odometry_values())
     write_toro(tmp_path / "in.graph", file)
     write_g2o(tmp_path / "in.g2o", file)
-    want = facts(call("in.g2o", "--json"))[0]["final_chi2"]
-    assert facts(call("in.graph", "-o", "a.npz", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
-    found, _ = facts(call("a.npz", "-o", "b.g2o", "--json"))
+    want = facts(solve("in.g2o", "--json"))[0]["final_chi2"]
+    assert facts(solve("in.graph", "-o", "a.npz", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
+    found, _ = facts(solve("a.npz", "-o", "b.g2o", "--json"))
     assert found["initial_chi2"] == pytest.approx(want, rel=1e-4)
-    assert facts(call("b.g2o", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
-    assert facts(call("in.graph", "-o", "c.graph", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
-    assert facts(call("c.graph", "--json"))[0]["initial_chi2"] == pytest.approx(want, rel=1e-4)
+    assert facts(solve("b.g2o", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
+    assert facts(solve("in.graph", "-o", "c.graph", "--json"))[0]["final_chi2"] == pytest.approx(want, rel=1e-4)
+    assert facts(solve("c.graph", "--json"))[0]["initial_chi2"] == pytest.approx(want, rel=1e-4)
     assert len(load_graph(tmp_path / "a.npz")[0]) == len(world.i)
 
 
-def test_robust_kernel_holds_false_loops_off(call, rng, tmp_path):
+def test_robust_kernel_holds_false_loops_off(solve, rng, tmp_path):
     world = manhattan(120, rng, sigmas=(0.005, 0.01))
     file = with_false_loops(world, 0.1, rng).file
     truth = Values()
@@ -175,28 +168,28 @@ def test_robust_kernel_holds_false_loops_off(call, rng, tmp_path):
         solved = read_pose_graph(tmp_path / "out.g2o").values().block(SE2)[1]
         return np.abs(solved.translation - world.truth.translation).max()
 
-    facts(call("spoilt.g2o", "-o", "out.g2o", "--json"))
+    facts(solve("spoilt.g2o", "-o", "out.g2o", "--json"))
     assert error() > 1.0
-    found, _ = facts(call("spoilt.g2o", "-o", "out.g2o", "--robust", "geman-mcclure:3", "--json"))
+    found, _ = facts(solve("spoilt.g2o", "-o", "out.g2o", "--robust", "geman-mcclure:3", "--json"))
     assert error() < 0.5
     assert found["robust"] == "geman-mcclure:3" and found["final_cost"] < found["final_chi2"]
 
 
-def test_fixed_poses_stay(call, tmp_path):
+def test_fixed_poses_stay(solve, tmp_path):
     edge = "EDGE_SE2 {} {} 1 0 0 1 0 0 1 0 1\n"
     text = (
         "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 4 0 0\nFIX 0 2\n" + edge.format(0, 1) + edge.format(1, 2)
     )
     (tmp_path / "in.g2o").write_text(text)
-    found, _ = facts(call("in.g2o", "-o", "out.g2o", "--json"))
+    found, _ = facts(solve("in.g2o", "-o", "out.g2o", "--json"))
     assert found["held"] == 2
     x = read_pose_graph(tmp_path / "out.g2o").values().at([0, 1, 2]).translation[:, 0]
     np.testing.assert_allclose(x, [0.0, 2.0, 4.0], atol=1e-6)
     assert found["final_chi2"] == pytest.approx(2.0, rel=1e-6)
 
 
-def test_plot_is_written(call, city, tmp_path):
-    assert facts(call("city.g2o", "--plot", "city.png", "--json"))[0]["written"] == ["city.png"]
+def test_plot_is_written(solve, city, tmp_path):
+    assert facts(solve("city.g2o", "--plot", "city.png", "--json"))[0]["written"] == ["city.png"]
     assert (tmp_path / "city.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -218,7 +211,7 @@ def test_plot_is_written(call, city, tmp_path):
         (["a.npz", "--robust", "huber"], "an archive holds the kernels"),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2(call, city, tmp_path, arguments, message):
+def test_bad_input_is_one_line_and_exit_code_2(solve, city, tmp_path, arguments, message):
     (tmp_path / "bad.g2o").write_text("EDGE_SE2 0 1 1 0\n")
     (tmp_path / "fixed.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nFIX 0\n")
     graph, values = FactorGraph(), Values()
@@ -226,22 +219,22 @@ def test_bad_input_is_one_line_and_exit_code_2(call, city, tmp_path, arguments, 
     graph.add(Prior(0, SE2.identity(), Isotropic(1.0)))
     graph.add(Between(0, 1, SE2.identity(), Isotropic(1.0)))
     save_graph(tmp_path / "a.npz", graph, values)
-    code, out, err = call(*arguments)
+    code, out, err = solve(*arguments)
     assert (code, out) == (2, "")
     assert err.count("\n") == 1 and err.startswith("error: ") and message in err
 
 
 @pytest.mark.real
 @pytest.mark.parametrize("name", ["M3500", "intel", "kitti_00", "sphere2500"])
-def test_isam2_reaches_the_optimum_of_public_graphs(call, shared_data, name):
+def test_isam2_reaches_the_optimum_of_public_graphs(solve, shared_data, name):
     file = shared_data / "posegraphs" / f"{name}.g2o"
-    best = facts(call(file, "--json"))[0]["final_chi2"]
-    found, _ = facts(call(file, "--json", "--solver", "isam2"))
+    best = facts(solve(file, "--json"))[0]["final_chi2"]
+    found, _ = facts(solve(file, "--json", "--solver", "isam2"))
     assert found["final_chi2"] == pytest.approx(best, rel=2e-4)
 
 
 @pytest.mark.real
-def test_public_graph_reaches_its_optimum(call, shared_data):
-    found, err = facts(call(shared_data / "posegraphs" / "kitti_00.g2o", "--json"))
+def test_public_graph_reaches_its_optimum(solve, shared_data):
+    found, err = facts(solve(shared_data / "posegraphs" / "kitti_00.g2o", "--json"))
     assert found["final_chi2"] == pytest.approx(98.3221, rel=1e-4)
     assert "no variable has a vertex line" in err
