@@ -77,8 +77,11 @@ class Sensitivities:
                 for a, J in enumerate(self._whitened(index)):
                     variables = group.variables[chosen, a]
                     d = J.shape[2]
-                    v = motion[np.where(touched[chosen, a], place[variables], 0)[:, None] + np.arange(d)]
-                    v = np.where(touched[chosen, a][:, None, None], v, 0.0)
+                    moves = touched[chosen, a][:, None]
+                    # All that rest look at row 0: there may be fewer rows than such a variable has degrees of freedom.
+                    v = np.where(
+                        moves[:, :, None], motion[np.where(moves, place[variables][:, None] + np.arange(d), 0)], 0.0
+                    )
                     strain += J[chosen] @ v
                     reach += np.einsum("nc,ncm->nm", np.sqrt(np.einsum("nrc,nrc->nc", J[chosen], J[chosen])), np.abs(v))
                 yield strain, reach, tolerance

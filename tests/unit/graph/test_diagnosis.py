@@ -258,6 +258,34 @@ class OwnBetween(Factor):
         return se2.log(se2.inverse(T_i_j) @ se2.inverse(T_world_i) @ T_world_j)
 
 
+class Delayed(Factor):
+    """A pose that was measured late, by two clocks."""
+
+    variables = (SE3, 1, 1)
+    rows = 6
+
+    @staticmethod
+    def residual(T_world_body, first, second, T_measured, rate):
+        return se3.log(se3.inverse(T_measured) @ T_world_body) + (first + second) * rate
+
+    @staticmethod
+    def jacobians(T_world_body, first, second, T_measured, rate):
+        r = se3.log(se3.inverse(T_measured) @ T_world_body)
+        return se3.right_jacobian_inverse(r), rate[:, :, None], rate[:, :, None]
+
+
+def test_small_variables_that_are_free_together_are_named_among_large_ones():
+    graph, values, poses = FactorGraph(), Values(), np.arange(6)
+    T = np.tile(np.eye(4), (6, 1, 1))
+    values.insert(poses, SE3(T))
+    values.insert([100, 101], np.zeros((2, 1)))
+    graph.add(Prior(poses, SE3(T), Isotropic(1e3)))
+    data = (T, np.tile(np.arange(1.0, 7.0), (6, 1)))
+    graph.add(Delayed((poses, np.full(6, 100), np.full(6, 101)), data=data, noise=Isotropic(0.1)))
+    (motion,) = refusal(graph, values).free  # their sum alone is told
+    assert motion.directions == 1 and (motion.keys == [100, 101]).all()
+
+
 def test_custom_factors_with_numeric_derivatives_are_judged_too():
     graph, values = FactorGraph(), Values()
     T = planar_chain(60)
