@@ -38,11 +38,19 @@ def mounting_command(
 
     if (folder / _EXTRINSIC).exists() and not overwrite:
         raise OutputError(f"{folder} holds a calibration already; choose another with -o or add --overwrite")
-    found, warnings = _found(paths, config)
+    found, warnings = _found(paths, config, folder)
     facts = {**calibration_facts(found), "warnings": warnings, "folder": str(folder), "files": [_EXTRINSIC, _FACTS]}
-    _write(folder, found, facts)
+    try:
+        _write(folder, found, facts)
+    except OutputError:  # the disk may have filled up meanwhile; what was found is told all the same
+        _tell(found, {**facts, "files": []}, json=json, quiet=quiet)
+        raise
+    _tell(found, facts, json=json, quiet=quiet)
+
+
+def _tell(found: Calibration, facts: dict[str, Any], *, json: bool, quiet: bool) -> None:
     if json or quiet:
-        for warning in warnings:
+        for warning in facts["warnings"]:
             print(f"warning: {warning}", file=sys.stderr)
         if json:
             typer.echo(jsonlib.dumps(facts, allow_nan=False))
@@ -50,16 +58,18 @@ def mounting_command(
     _show(found, facts)
 
 
-def _found(paths: list[Path], config: RunConfig) -> tuple[Calibration, list[str]]:
+def _found(paths: list[Path], config: RunConfig, folder: Path) -> tuple[Calibration, list[str]]:
     """Calibrate a recording; return what was found, and what to warn of."""
     from contextlib import closing
 
     from heliograph import pipeline
+    from heliograph.atomic import check_output_directory
     from heliograph.calibration import calibrate as find
     from heliograph.io import open_recording
 
     threads = pipeline.thread_count(config)
     with open_recording(paths, config.input, sensors="lidar,imu") as recording:
+        check_output_directory(folder, overwrite=True)  # before the work; nothing in it is replaced yet
         with closing(pipeline.messages(recording, frozenset({"lidar", "imu"}), threads)) as stream:
             found = find(stream, recording.rig, config, threads=threads)
         warnings = [e.message for e in recording.events if e.severity != "info" and e.code != "unknown-mount"]
@@ -119,11 +129,9 @@ def calibration_facts(found: Calibration) -> dict[str, Any]:
 
 
 def _write(folder: Path, found: Calibration, facts: dict[str, Any]) -> None:
-    from heliograph.atomic import output_errors, write_text
+    from heliograph.atomic import write_text
     from heliograph.io.extrinsic import write_extrinsic
 
-    with output_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     notes = {
         "axes": [f"{axis.name}: {_value(axis)} +- {_sigma(axis)}, {axis.verdict}" for axis in found.axes],
         "kept": list(found.kept),
@@ -196,5 +204,6 @@ def _show(found: Calibration, facts: dict[str, Any]) -> None:
         f"gyro bias ({gyro}) rad/s, accelerometer bias ({accel}) m/s^2; gravity's direction to "
         f"+- {57.29577951308232 * found.tilt_sigma:.3f} deg"
     )
-    print(f"written to {facts['folder']}: {', '.join(facts['files'])}")
-    print(f"use it: heliograph run RECORDING --extrinsic {Path(facts['folder']) / _EXTRINSIC}")
+    if facts["files"]:
+        print(f"written to {facts['folder']}: {', '.join(facts['files'])}")
+        print(f"use it: heliograph run RECORDING --extrinsic {Path(facts['folder']) / _EXTRINSIC}")

@@ -38,15 +38,11 @@ def noise_command(
 
     import typer
 
-    from heliograph.atomic import output_errors
     from heliograph.errors import OutputError
 
     if (folder / _CONFIG).exists() and not overwrite:
         raise OutputError(f"{folder} holds a noise calibration already; choose another with -o or add --overwrite")
-    measured = _measured(paths, config)
-    with output_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    lines, facts = _written(*measured, config, folder)
+    lines, facts = calibrate_noise(paths, config, folder)
     if json:
         typer.echo(_json(facts))
     if json or quiet:
@@ -66,7 +62,7 @@ def calibrate_noise(paths: list[Path], config: RunConfig, folder: Path) -> tuple
     config : RunConfig
         Input options, and densities to fall back on.
     folder : Path
-        Exists; gets ``noise.toml``, ``noise.json``, ``noise.csv`` and two pictures.
+        Made where it is missing; gets ``noise.toml``, ``noise.json``, ``noise.csv`` and two pictures.
 
     Returns
     -------
@@ -82,15 +78,17 @@ def calibrate_noise(paths: list[Path], config: RunConfig, folder: Path) -> tuple
     OutputError
         A file cannot be written.
     """
-    return _written(*_measured(paths, config), config, folder)
+    return _written(*_measured(paths, config, folder), config, folder)
 
 
-def _measured(paths: list[Path], config: RunConfig) -> tuple[NoiseCalibration, str, list[Event]]:
+def _measured(paths: list[Path], config: RunConfig, folder: Path) -> tuple[NoiseCalibration, str, list[Event]]:
     """Return the result, the recording's name, and its own warnings."""
+    from heliograph.atomic import check_output_directory
     from heliograph.calibration.noise import calibrate_noise as measure
     from heliograph.io import open_recording
 
     with open_recording(paths, config.input, sensors="imu") as recording:
+        check_output_directory(folder, overwrite=True)  # before the work; nothing in it is replaced yet
         imu = read_imu(recording)
         warnings = [event for event in recording.events if event.severity != "info"]
         name = recording.description

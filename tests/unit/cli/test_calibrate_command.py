@@ -1,10 +1,12 @@
 """`heliograph calibrate` on a recording small enough for every run: its files, its words, its refusals."""
 
+import errno
 import json
 
 import numpy as np
 import pytest
 
+from heliograph.atomic import output_error
 from heliograph.io.extrinsic import read_extrinsic, write_extrinsic
 from heliograph.lie import so3
 from heliograph.sim import SCENARIOS, simulate
@@ -64,3 +66,32 @@ def test_calibrate_refuses_in_one_line(call, folder, tmp_path):
         assert error.startswith("error: ")
         assert len(error.splitlines()) == 1
         assert message in error
+
+
+@pytest.mark.parametrize("options", [(), ("--noise",)])
+def test_folder_that_cannot_be_written_is_refused_before_the_work(call, folder, tmp_path, monkeypatch, options):
+    (tmp_path / "file").write_text("mine")
+
+    def work(*_, **__):
+        raise AssertionError("calibrated for nothing")
+
+    monkeypatch.setattr("heliograph.calibration.calibrate", work)
+    monkeypatch.setattr("heliograph.calibration.noise.calibrate_noise", work)
+    code, _, error = call("calibrate", folder, "-o", tmp_path / "file", *options)
+    assert (code, error.count("\n")) == (2, 1)
+    assert "it is a file, not a folder" in error
+    assert (tmp_path / "file").read_text() == "mine"
+    assert call("calibrate", tmp_path / "none", *options)[0] == 2
+    assert not (tmp_path / "none_calibration").exists()
+
+
+def test_calibration_is_told_although_the_disk_filled_up_meanwhile(call, folder, monkeypatch):
+    def full(path, *_, **__):
+        raise output_error(path, OSError(errno.ENOSPC, "full"))
+
+    monkeypatch.setattr("heliograph.io.extrinsic.write_extrinsic", full)
+    code, text, error = call("calibrate", folder)
+    assert code == 2
+    assert "the disk is full" in error
+    assert "clock offset" in text
+    assert "written to" not in text

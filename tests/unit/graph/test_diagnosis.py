@@ -269,7 +269,7 @@ class Delayed(Factor):
         return se3.log(se3.inverse(T_measured) @ T_world_body) + (first + second) * rate
 
     @staticmethod
-    def jacobians(T_world_body, first, second, T_measured, rate):
+    def jacobians(T_world_body, _first, _second, T_measured, rate):
         r = se3.log(se3.inverse(T_measured) @ T_world_body)
         return se3.right_jacobian_inverse(r), rate[:, :, None], rate[:, :, None]
 
