@@ -27,7 +27,7 @@ Stamps = NDArray[np.int64]
 _SIGMA, _KERNEL, _GATE = 0.02, 0.06, 0.15  # across planes [m]; the size of the noise is found from the poses afterwards
 _STEPS, _SETTLED_ROTATION, _SETTLED_POSITION = 8, 5e-6, 2e-5
 _LOOSE = 1e-3  # information that keeps a direction which no plane holds where it was [1/rad^2], [1/m^2]
-_FEWEST = 100  # matches
+_SETS, _FEWEST = 3, 100  # of cubes; matches with one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +115,7 @@ class Placer:
         self._config, self._threads = config, threads
         self._leaf = 0.2
         self._picks: dict[int, NDArray[np.int32]] = {}
-        self._R_map_odom: Array | None = None
+        self._R_cubes_odom: Array | None = None
 
     def place(self, path: LidarPath) -> LidarPoses:
         """Return the poses of the scans that lie inside the path, at the mean times of their points.
@@ -143,12 +143,12 @@ class Placer:
 
     def _mapped(self, swept: Sequence[_Swept]) -> PlaneMap:
         """Return the map of all scans, its cubes turned against the walls that the first one finds."""
-        if self._R_map_odom is None:
-            self._R_map_odom = turn_against(*self._map_turned(swept, np.eye(3)).normals())
-        return self._map_turned(swept, self._R_map_odom)
+        if self._R_cubes_odom is None:
+            self._R_cubes_odom = turn_against(*self._map_turned(swept, np.eye(3)[None]).normals(), _SETS)
+        return self._map_turned(swept, self._R_cubes_odom)
 
-    def _map_turned(self, swept: Sequence[_Swept], R_map_odom: Array) -> PlaneMap:
-        local_map = PlaneMap(self._config.map, R_map_odom)
+    def _map_turned(self, swept: Sequence[_Swept], R_cubes_odom: Array) -> PlaneMap:
+        local_map = PlaneMap(self._config.map, R_cubes_odom)
         for scan in swept:
             local_map.insert(scan.points, scan.T_odom_lidar)
         return local_map
@@ -186,13 +186,13 @@ class Placer:
         """Return the pose and its covariance (right perturbation) by the planes alone, or None without enough."""
         settings = MatchSettings(gate=_GATE, kernel=_KERNEL, sigma=_SIGMA, fallback_stride=0, threads=self._threads)
         T = scan.T_odom_lidar
-        points = local_map.settled(points, T, _GATE)
+        chosen = local_map.settled(points, T, _GATE)
         for _ in range(_STEPS):
-            equations = local_map.linearize(points, T, settings)
-            if equations.matches < _FEWEST:
+            information, gradient, matches = local_map.linearize(chosen, T, settings)
+            if matches < _FEWEST:
                 return None
-            information = equations.information + _LOOSE * np.eye(6)
-            step = -np.linalg.solve(information, equations.gradient)
+            information += _LOOSE * np.eye(6)
+            step = -np.linalg.solve(information, gradient)
             T = se3.from_rotation_translation(T[:3, :3] @ so3.exp(step[:3]), T[:3, 3] + T[:3, :3] @ step[3:])
             if np.linalg.norm(step[:3]) < _SETTLED_ROTATION and np.linalg.norm(step[3:]) < _SETTLED_POSITION:
                 break

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import MapConfig
-from heliograph.lie import so3
+from heliograph.lie import se3, so3
 from heliograph.maps import VoxelMap
 from heliograph.registration import MatchSettings, NormalEquations, linearize
 
@@ -26,43 +27,77 @@ _TURNS = 64
 class PlaneMap:
     """Planes of all scans, for the poses of single scans to a tenth of a millimetre.
 
-    Two errors of a map of cubes, each far below an odometry's noise, are too large here because they are alike from
-    scan to scan:
+    Errors of a map of cubes that are far below an odometry's noise are too large here, because they are alike from scan
+    to scan:
 
     * Where a wall lies in a face of the cubes, a point's noise decides which cube it is looked up in, and each of the
       two holds the mean of the points on its own side. Residuals then hardly move with the scan: the solution takes
       dozens of steps, and ends near where it began after a few. So the cubes are turned against the walls.
     * A cube at an edge holds a sliver of the other surface, thin enough to pass as noise, and its plane leans. So a
       plane counts only where the cube of twice the size has it too.
+    * What is left depends on where the cubes happen to lie. So there are several sets of them, and their equations are
+      averaged.
 
     Parameters
     ----------
     config : MapConfig
-    R_map_odom : (3, 3) float64
-        Attitude of the cubes; see `turn_against`.
+    R_cubes_odom : (K, 3, 3) float64
+        Attitudes of the sets of cubes; see `turn_against`.
     """
 
-    def __init__(self, config: MapConfig, R_map_odom: Array) -> None:
-        self._fine = VoxelMap(replace(config, max_points=_AVERAGED))
-        self._coarse = VoxelMap(replace(config, max_points=_AVERAGED, voxel=2.0 * config.voxel, levels=1))
-        self._T_map_odom = np.eye(4)
-        self._T_map_odom[:3, :3] = R_map_odom
+    def __init__(self, config: MapConfig, R_cubes_odom: Array) -> None:
+        self._sets = tuple(_Cubes(config, R) for R in R_cubes_odom)
 
     def insert(self, points: Points, T_odom_lidar: Array) -> None:
         """Add points (N, 3) of the lidar frame [m]."""
-        T_map_lidar = self._T_map_odom @ T_odom_lidar
-        self._fine.insert(points, T_map_lidar)
-        self._coarse.insert(points, T_map_lidar)
+        for cubes in self._sets:
+            cubes.insert(points, T_odom_lidar)
 
     def normals(self) -> tuple[Array, Array]:
-        """Return the normals of the finest planes (M, 3), odom axes, and how many points each has (M,)."""
+        """Return the normals of the first set's finest planes (M, 3), odom axes, and how many points each has (M,)."""
+        return self._sets[0].normals()
+
+    def settled(self, points: Points, T_odom_lidar: Array, gate: float) -> tuple[Points, ...]:
+        """Return for each set of cubes the points on planes of both sizes; all of them where those are too few."""
+        return tuple(cubes.settled(points, T_odom_lidar, gate) for cubes in self._sets)
+
+    def linearize(
+        self, points: Sequence[Points], T_odom_lidar: Array, settings: MatchSettings
+    ) -> tuple[Array, Array, int]:
+        """Return information (6, 6) and gradient (6,) for turns and shifts along lidar axes, and the fewest matches.
+
+        ``points`` are those of `settled`, a set of cubes each.
+        """
+        each = [cubes.linearize(some, T_odom_lidar, settings) for cubes, some in zip(self._sets, points, strict=True)]
+        # The registration's position error is along the cubes' axes; a right perturbation's is along the body's.
+        turns = np.tile(np.eye(6), (len(each), 1, 1))
+        turns[:, 3:, 3:] = [cubes.R_cubes_odom @ T_odom_lidar[:3, :3] for cubes in self._sets]
+        information = np.einsum("kai,kab,kbj->ij", turns, np.stack([e.information for e in each]), turns)
+        gradient = np.einsum("kai,ka->i", turns, np.stack([e.gradient for e in each]))
+        return information / len(each), gradient / len(each), min(e.matches for e in each)
+
+
+class _Cubes:
+    """Cubes of one attitude, in the fine map's levels and once more at twice its finest size."""
+
+    def __init__(self, config: MapConfig, R_cubes_odom: Array) -> None:
+        self._fine = VoxelMap(replace(config, max_points=_AVERAGED))
+        self._coarse = VoxelMap(replace(config, max_points=_AVERAGED, voxel=2.0 * config.voxel, levels=1))
+        self.R_cubes_odom = R_cubes_odom
+        self._T_cubes_odom = se3.from_rotation_translation(R_cubes_odom, np.zeros(3))
+
+    def insert(self, points: Points, T_odom_lidar: Array) -> None:
+        T_cubes_lidar = self._T_cubes_odom @ T_odom_lidar
+        self._fine.insert(points, T_cubes_lidar)
+        self._coarse.insert(points, T_cubes_lidar)
+
+    def normals(self) -> tuple[Array, Array]:
         table = self._fine.table()
         planes = table[(table[:, 0] == table[:, 0].min()) & (table[:, 11] >= 0.0)] if len(table) else table
-        return planes[:, 5:8] @ self._T_map_odom[:3, :3], planes[:, 1]
+        return planes[:, 5:8] @ self.R_cubes_odom, planes[:, 1]
 
     def settled(self, points: Points, T_odom_lidar: Array, gate: float) -> Points:
-        """Return the points that lie on planes of both sizes; all of them where those are too few."""
-        T = self._T_map_odom @ T_odom_lidar
+        T = self._T_cubes_odom @ T_odom_lidar
         at = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
         fine, coarse = self._fine.planes_at(at, gate=gate), self._coarse.planes_at(at, gate=gate)
         cosine = np.einsum("ni,ni->n", fine.normal, coarse.normal, dtype=np.float64)
@@ -75,15 +110,7 @@ class PlaneMap:
         return points if few else np.ascontiguousarray(points[both])
 
     def linearize(self, points: Points, T_odom_lidar: Array, settings: MatchSettings) -> NormalEquations:
-        """Return the normal equations of the points, for turns and shifts (6,) along lidar axes."""
-        T_map_lidar = self._T_map_odom @ T_odom_lidar
-        equations = linearize(self._fine, points, T_map_lidar, np.eye(4), settings)
-        # The registration's position error is along the map's axes; a right perturbation's is along the body's.
-        turn = np.eye(6)
-        turn[3:, 3:] = T_map_lidar[:3, :3]
-        return replace(
-            equations, information=turn.T @ equations.information @ turn, gradient=turn.T @ equations.gradient
-        )
+        return linearize(self._fine, points, self._T_cubes_odom @ T_odom_lidar, np.eye(4), settings)
 
 
 def _on_plane(source: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -91,21 +118,22 @@ def _on_plane(source: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return np.asarray((source > 0) & (source < 255))
 
 
-def turn_against(normals: Array, weights: Array) -> Array:
-    """Return an attitude of cubes (3, 3) whose faces are least parallel to planes.
+def turn_against(normals: Array, weights: Array, count: int) -> Array:
+    """Return attitudes of cubes (count, 3, 3) whose faces are least parallel to planes.
 
     Parameters
     ----------
     normals : (M, 3) float64
         Odom axes.
     weights : (M,) float64
+    count : int
 
     Returns
     -------
-    (3, 3) float64
-        ``R_map_odom``, of some that spread over all.
+    (count, 3, 3) float64
+        ``R_cubes_odom``, the best of some that spread over all.
     """
     turns = so3.exp(np.random.default_rng(0).uniform(-1.0, 1.0, (_TURNS, 3)))
     along = np.abs(np.einsum("kij,mj->kmi", turns, normals)).max(axis=2)
     # A high power, for only walls within some 20 degrees of a face do harm.
-    return np.asarray(turns[np.argmin((along**16) @ weights)])
+    return np.asarray(turns[np.argsort((along**16) @ weights, kind="stable")[:count]])
