@@ -89,7 +89,8 @@ class _Cubes:
     def insert(self, points: Points, T_odom_lidar: Array) -> None:
         T_cubes_lidar = self._T_cubes_odom @ T_odom_lidar
         self._fine.insert(points, T_cubes_lidar)
-        self._coarse.insert(points, T_cubes_lidar)
+        # Twice the edge and a quarter of the points: as many in a cube as the fine ones have.
+        self._coarse.insert(np.ascontiguousarray(points[::4]), T_cubes_lidar)
 
     def normals(self) -> tuple[Array, Array]:
         table = self._fine.table()
@@ -99,23 +100,18 @@ class _Cubes:
     def settled(self, points: Points, T_odom_lidar: Array, gate: float) -> Points:
         T = self._T_cubes_odom @ T_odom_lidar
         at = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
-        fine, coarse = self._fine.planes_at(at, gate=gate), self._coarse.planes_at(at, gate=gate)
+        fine, coarse = (cubes.planes_at(at, gate=gate, neighbours=False) for cubes in (self._fine, self._coarse))
         cosine = np.einsum("ni,ni->n", fine.normal, coarse.normal, dtype=np.float64)
         by_fine = np.einsum("ni,ni->n", fine.normal, at - fine.point)
         by_coarse = np.sign(cosine) * np.einsum("ni,ni->n", coarse.normal, at - coarse.point)
-        matched = _on_plane(fine.source)
-        both = matched & _on_plane(coarse.source) & (np.abs(cosine) > _PARALLEL)
+        matched = fine.source > 0
+        both = matched & (coarse.source > 0) & (np.abs(cosine) > _PARALLEL)
         both &= np.abs(by_fine - by_coarse) < _APART
         few = np.count_nonzero(both) < _ENOUGH * np.count_nonzero(matched)
         return points if few else np.ascontiguousarray(points[both])
 
     def linearize(self, points: Points, T_odom_lidar: Array, settings: MatchSettings) -> NormalEquations:
         return linearize(self._fine, points, self._T_cubes_odom @ T_odom_lidar, np.eye(4), settings)
-
-
-def _on_plane(source: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Whether matches are with a cube's own plane: 0 is none, 255 one through neighbours."""
-    return np.asarray((source > 0) & (source < 255))
 
 
 def turn_against(normals: Array, weights: Array, count: int) -> Array:

@@ -53,10 +53,13 @@ class VoxelMap:
         """Forget cubes beyond ``config.radius`` of ``centre_odom`` (3,), and the farthest of too many."""
         self.native.prune(np.ascontiguousarray(centre_odom), self.config.radius, self.config.max_voxels)
 
-    def planes_at(self, points_odom: NDArray[np.float64], *, gate: float) -> PlaneMatches:
-        """Return for each point (N, 3) the finest plane whose cube holds it, else one through its neighbours."""
+    def planes_at(self, points_odom: NDArray[np.float64], *, gate: float, neighbours: bool = True) -> PlaneMatches:
+        """Return for each point (N, 3) the finest plane whose cube holds it, else one through its neighbours.
+
+        Looking for ``neighbours`` takes most of the time where many points have no plane.
+        """
         normal, point, variance, source = _core.query_planes(
-            self.native, np.ascontiguousarray(points_odom), gate, 1, self.config.fallback_range
+            self.native, np.ascontiguousarray(points_odom), gate, int(neighbours), self.config.fallback_range
         )
         return PlaneMatches(normal=normal, point=point, variance=variance, source=source)
 
