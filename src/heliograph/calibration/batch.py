@@ -278,8 +278,9 @@ def _size(poses: LidarPoses, residual: Array, X_covariance: Array, values: Value
     """Return by how much the noise is larger than its covariance says, as a factor on sigma for each row, (6,).
 
     A residual's expected square is its variance less what the estimate took of it, so that
-    ``s^2 = sum r^2 / sum (C - J P J^T)`` (variance components: W. Förstner, 1979). Scans beyond the kernel are
-    left out.
+    ``s^2 = sum r^2 / sum (C - J P J^T)`` (variance components: W. Förstner, 1979). With n degrees of freedom left in
+    the residuals that is itself uncertain, and errors follow Student's distribution, whose variance is
+    ``n / (n - 2)`` times as large. Scans beyond the kernel are left out.
     """
     E = values.at(_MOUNTING).matrix
     by_state = np.zeros((6, 9))
@@ -289,8 +290,10 @@ def _size(poses: LidarPoses, residual: Array, X_covariance: Array, values: Value
     square = np.einsum("ni,ni->n", residual, np.linalg.solve(poses.covariance, residual[:, :, None])[:, :, 0])
     # Judged against the median, which a few wrong ones do not move: 5.35 is that of 6 squared standard normals.
     good = square <= _KERNEL**2 * float(np.median(square)) / 5.348
-    left = np.maximum(expected - taken, 0.05 * expected)[good].sum(axis=0)
-    return np.asarray(np.sqrt(np.clip((residual[good] ** 2).sum(axis=0) / left, *_SIZES)))
+    expected, left = expected[good], np.maximum(expected - taken, 0.05 * expected)[good]
+    freedom = np.maximum((left / expected).sum(axis=0), 3.0)
+    square_size = (residual[good] ** 2).sum(axis=0) / left.sum(axis=0) * freedom / (freedom - 2.0)
+    return np.asarray(np.sqrt(np.clip(square_size, *_SIZES)))
 
 
 def _change_by_calibration(values: Values, prior: Prior) -> tuple[Array, Array]:
