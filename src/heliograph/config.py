@@ -98,8 +98,10 @@ class ImuConfig:
         Most spread of a channel at rest [rad/s], [m/s^2].
     still_rate, still_gravity_error : float
         Most mean rate [rad/s] and most error of the mean force's length [m/s^2] at rest.
-    still_speed : float
-        Most speed that the LiDAR may see at rest [m/s].
+    biased_rate, biased_gravity_error : float
+        The same where the LiDAR confirms that nothing moves or turns, so that it can only be a bias.
+    still_speed, still_turn : float
+        Most speed [m/s] and rate [rad/s] that the LiDAR may see at rest.
     still_block : float
         Vibration is told from motion by means over this long [s].
     vibration_gyro, vibration_accel : float
@@ -128,7 +130,10 @@ class ImuConfig:
     still_accel_sigma: float = 0.3
     still_rate: float = 0.1
     still_gravity_error: float = 0.6
+    biased_rate: float = 0.35
+    biased_gravity_error: float = 1.5
     still_speed: float = 0.1
+    still_turn: float = 0.02
     still_block: float = 0.2
     vibration_gyro: float = 0.3
     vibration_accel: float = 5.0

@@ -307,7 +307,7 @@ def measured_noise(imu: ImuBatch, config: ImuConfig) -> ImuNoise:
                 ),
                 config,
             )
-            rests += [rest.noise] if rest.still else []
+            rests += [rest.noise] if rest.still and not rest.biased else []
     if not rests:
         return noise_in_motion(imu, config)
     # The median: the calmest of many would be too calm by chance, the mean is moved by a second that was not at rest.

@@ -29,12 +29,15 @@ class StaticStart:
     vibrating : bool
         Whether it shakes without going anywhere, as on an idling engine: its spread is beyond that of rest, but the
         means over `ImuConfig.still_block` are not.
+    biased : bool
+        Whether it is calm, but with a mean rate or a mean force beyond what a usual bias explains: a very large bias,
+        or a steady turn. Up to `ImuConfig.biased_rate` and `ImuConfig.biased_gravity_error` that may be rest.
     reason : str
         What spoke against stillness, with numbers; empty when still.
     statistic : float
         Largest finding as a share of its limit: one is the border of rest.
     grade : str
-        ``"good"``, ``"fair"`` (vibrating, short, or near the border of rest) or ``"poor"`` (not still).
+        ``"good"``, ``"fair"`` (vibrating, biased, short, or near the border of rest) or ``"poor"`` (not still).
     remark : str
         Numbers behind the grade.
     gyro_mean, accel_mean : (3,) float64
@@ -53,6 +56,7 @@ class StaticStart:
 
     still: bool
     vibrating: bool
+    biased: bool
     reason: str
     statistic: float
     grade: str
@@ -66,6 +70,11 @@ class StaticStart:
     duration: float
     noise: ImuNoise
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether only something else than the IMU, such as the LiDAR, can tell that this is rest."""
+        return self.vibrating or self.biased
+
 
 def assess_stillness(imu: ImuBatch, config: ImuConfig) -> StaticStart:
     """Judge whether the IMU rests throughout ``imu``, measure its noise, and say how well its means are known.
@@ -74,7 +83,8 @@ def assess_stillness(imu: ImuBatch, config: ImuConfig) -> StaticStart:
     spread of each channel, the mean rate, the length of the mean force, and the change of the mean from the first to
     the second half, each against a limit of ``config``. On an idling engine the spread is large but averages out within
     a few periods, which no motion that goes anywhere does: there the means over blocks are tested in its place. A
-    vehicle at constant speed on a smooth road passes all of these: only the LiDAR can tell, so the filter asks it too.
+    vehicle at constant speed on a smooth road passes all of these, and a steady turn looks like a bias: only the LiDAR
+    can tell, so the filter asks it too.
 
     Raises
     ------
@@ -92,21 +102,25 @@ def assess_stillness(imu: ImuBatch, config: ImuConfig) -> StaticStart:
     mean, half = slow.mean(axis=0), len(slow) // 2
     drift = float(np.linalg.norm(slow[:half, 3:].mean(axis=0) - slow[half:, 3:].mean(axis=0)))
     spread = blocks.std(axis=0) / _BLOCK_SHARE if vibrating else sigma
+    rate, force = float(np.linalg.norm(mean[:3])), abs(float(np.linalg.norm(mean[3:])) - config.gravity)
+    biased = rate > config.still_rate or force > config.still_gravity_error
     findings = [
         ("gyro spread", float(spread[:3].max()), config.still_gyro_sigma, "rad/s"),
         ("accelerometer spread", float(spread[3:].max()), config.still_accel_sigma, "m/s^2"),
-        ("mean rate", float(np.linalg.norm(mean[:3])), config.still_rate, "rad/s"),
-        ("gravity error", abs(float(np.linalg.norm(mean[3:])) - config.gravity), config.still_gravity_error, "m/s^2"),
+        ("mean rate", rate, config.biased_rate if biased else config.still_rate, "rad/s"),
+        ("gravity error", force, config.biased_gravity_error if biased else config.still_gravity_error, "m/s^2"),
         ("force change", drift, config.still_accel_sigma, "m/s^2"),
     ]
     reasons = [f"{name} {value:.3g} > {limit:.3g} {unit}" for name, value, limit, unit in findings if value > limit]
     if duration < config.still_duration:
         reasons.append(f"only {duration:.2f} s < {config.still_duration:.2f} s of data")
     still, statistic = not reasons, max(value / limit for _, value, limit, _ in findings)
-    grade, remark = _graded(still, vibrating, statistic, duration, sigma, config)
+    doubts = [*(["vibrating"] if vibrating else []), *(["very large bias"] if biased else [])]
+    grade, remark = _graded(still, doubts, statistic, duration, sigma, config)
     return StaticStart(
         still=still,
         vibrating=vibrating,
+        biased=biased,
         reason=", ".join(reasons),
         statistic=statistic,
         grade=grade,
@@ -147,7 +161,7 @@ def _vibrates(sigma: NDArray[np.float64], blocks: NDArray[np.float64], config: I
 
 
 def _graded(
-    still: bool, vibrating: bool, statistic: float, duration: float, sigma: NDArray[np.float64], config: ImuConfig
+    still: bool, doubts: list[str], statistic: float, duration: float, sigma: NDArray[np.float64], config: ImuConfig
 ) -> tuple[str, str]:
     numbers = (
         f"{duration:.1f} s, largest test at {statistic:.0%} of its limit, spread {sigma[:3].max():.2g} rad/s and "
@@ -156,7 +170,7 @@ def _graded(
     if not still:
         return "poor", numbers
     doubts = [
-        *(["vibrating"] if vibrating else []),
+        *doubts,
         *(["short"] if duration < 0.9 * config.start_window else []),
         *(["near the border of rest"] if statistic > _NEAR_BORDER else []),
     ]

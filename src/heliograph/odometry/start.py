@@ -80,15 +80,20 @@ class FirstLook:
 def look(packets: Sequence[Packet], imu: ImuBatch, rig: Rig, config: RunConfig, *, threads: int) -> FirstLook:
     """Judge from the first packets whether the recording begins at rest.
 
-    The IMU says whether it rests; because a vehicle at constant speed looks just like that, the LiDAR alone is run over
-    the same scans and must agree. An IMU that only vibrates, on an idling engine, needs that consent.
+    The IMU says whether it rests; because a vehicle at constant speed looks just like that, and a slow steady turn like
+    a bias, the LiDAR alone is run over the same scans and must agree. An IMU that vibrates, on an idling engine, or
+    shows a very large bias, needs that consent.
     """
     moved, scans = lidar_only(packets, rig, config, threads), len(scans_of(packets))
     if len(imu) < 2:
         return FirstLook(rest=None, moved=moved, still=False, scans=scans)
     rest = assess_stillness(imu, config.imu)
-    agreed = moved.speed < config.imu.still_speed if moved is not None else not rest.vibrating
+    agreed = _lidar_rests(moved, config) if moved is not None else not rest.doubtful
     return FirstLook(rest=rest, moved=moved, still=rest.still and agreed, scans=scans)
+
+
+def _lidar_rests(moved: LidarMotion, config: RunConfig) -> bool:
+    return moved.speed < config.imu.still_speed and float(np.linalg.norm(moved.mean_rate)) < config.imu.still_turn
 
 
 def find_start(
@@ -195,7 +200,9 @@ def _moving_account(found: MotionStart, scaled: MotionStart) -> StartAccount:
 
 def _moving_event(begin_ns: int, first: FirstLook, account: StartAccount) -> Event:
     speed = first.moved.speed if first.moved else 0.0
-    why = (first.rest.reason if first.rest else "") or f"the LiDAR moves at {speed:.2f} m/s although the IMU is calm"
+    turn = float(np.linalg.norm(first.moved.mean_rate)) if first.moved else 0.0
+    seen = f"the LiDAR moves at {speed:.2f} m/s and turns at {turn:.2g} rad/s although the IMU is calm"
+    why = (first.rest.reason if first.rest else "") or seen
     text = (
         f"the recording starts in motion ({why}); gravity, velocity and biases come from its first "
         f"{account.duration:.1f} s, verdict {account.verdict}: {account.reason}"

@@ -53,8 +53,8 @@ def shaken(imu):
     return replace(imu, accel=imu.accel + np.sin(2 * np.pi * 3.0 * t))
 
 
-def turning(imu):
-    return replace(imu, gyro=imu.gyro + np.array([0.0, 0.0, 0.2]))
+def spinning(imu):
+    return replace(imu, gyro=imu.gyro + np.array([0.0, 0.0, 0.5]))
 
 
 def wobbling(imu):
@@ -62,8 +62,8 @@ def wobbling(imu):
     return replace(imu, gyro=imu.gyro + 0.1 * np.sin(2 * np.pi * 2.0 * t))
 
 
-def heavy(imu):
-    return replace(imu, accel=1.1 * imu.accel)
+def falling(imu):
+    return replace(imu, accel=0.8 * imu.accel)
 
 
 def braking(imu):
@@ -80,9 +80,9 @@ def short(imu):
     ("disturb", "reason"),
     [
         (shaken, "accelerometer spread"),
-        (turning, "mean rate 0.2"),
+        (spinning, "mean rate 0.5"),
         (wobbling, "gyro spread"),
-        (heavy, "gravity error 0.98"),
+        (falling, "gravity error 1.96"),
         (braking, "force change 0.4"),
         (short, "only 0.30"),
     ],
@@ -136,12 +136,31 @@ def test_walking_and_rattling_are_not_rest(rng, hertz, force, rate):
     assert verdict.statistic > 1.0
 
 
-def test_a_turn_on_an_idling_engine_is_motion(rng):
+def test_a_turn_on_an_idling_engine_is_rest_only_by_consent_or_not_at_all(rng):
     imu = idling(rng, hertz=27.0, force=1.0, rate=0.05)
-    turned = replace(imu, gyro=imu.gyro + np.array([0.0, 0.0, 0.15]))
-    verdict = assess_stillness(turned, CONFIG)
+    slow, quick = (replace(imu, gyro=imu.gyro + np.array([0.0, 0.0, rate])) for rate in (0.15, 0.5))
+    assert assess_stillness(slow, CONFIG).doubtful
+    verdict = assess_stillness(quick, CONFIG)
     assert not verdict.still
     assert "mean rate" in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("gyro", "accel", "biased"),
+    [
+        ([0.09, 0.0, 0.0], [0.0, 0.0, 0.5], False),
+        ([0.08, 0.08, -0.06], [0.0, 0.0, 0.1], True),
+        ([0.0, 0.0, 0.0], [0.1, -0.2, -0.9], True),
+    ],
+)
+def test_a_very_large_bias_is_rest_only_by_consent(rng, gyro, accel, biased):
+    imu = resting(rng)
+    rest = assess_stillness(replace(imu, gyro=imu.gyro + gyro, accel=imu.accel + accel), CONFIG)
+    assert rest.still
+    assert rest.doubtful is rest.biased is biased
+    assert ("very large bias" in rest.remark) is biased
+    assert rest.grade == "fair"  # for the other one is near the border of rest
+    assert rest.statistic < 1.0
 
 
 def test_covariance_of_the_means_fits_their_errors():

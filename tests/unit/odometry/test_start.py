@@ -238,6 +238,34 @@ def test_a_car_on_a_smooth_road_is_not_taken_for_resting(speed):
     np.testing.assert_allclose(first.moved.v_imu, [speed, 0.0, 0.0], atol=0.3)
 
 
+def test_a_slow_steady_turn_is_not_taken_for_a_bias():
+    walk = {"speed": 0.08, "begin": 160.0, "duration": 1.3}
+    scenario = SCENARIOS["start-turning"].thinned(beams=16, columns=256).varied(walk=walk)
+    simulation, packets, imu = packets_and_imu(scenario)
+    first = look(packets, imu, simulation.rig, CONFIG, threads=1)
+    assert first.rest.still
+    assert not first.rest.doubtful
+    assert first.moved.speed < CONFIG.imu.still_speed
+    assert not first.still
+    start = find_start(packets, imu, simulation.rig, CONFIG, threads=1, first=first)
+    assert "turns at 0.04" in start.events[0].message
+    bias = simulation.imu_errors.gyro_bias[0]
+    np.testing.assert_allclose(start.state.gyro_bias, bias, atol=5e-3)  # the turn is 0.044 rad/s
+
+
+def test_a_very_large_bias_at_rest_needs_the_lidar_to_agree(rng):
+    poor = {"gyro_bias": 0.12, "accel_bias": 0.4}
+    scenario = SCENARIOS["start-turning"].thinned(beams=16, columns=128).varied(imu=poor)
+    simulation, packets, imu = packets_and_imu(scenario.varied(walk={"begin": 0.0, "duration": 1.3}), seed=2)
+    start = find_start(packets, imu, simulation.rig, CONFIG, threads=1)
+    assert start.account.kind == "static"
+    assert "very large bias" in start.account.reason
+    assert np.linalg.norm(start.state.v_odom) == 0.0
+    np.testing.assert_allclose(start.state.gyro_bias, simulation.imu_errors.gyro_bias[0], atol=1e-3)
+    blind = find_start([replace(packet, scan=None) for packet in packets], imu, simulation.rig, CONFIG, threads=1)
+    assert blind.account.kind == "moving"
+
+
 def shaken_start(walk):
     """A start on a smooth course with an engine's vibration on the IMU."""
     scenario = SCENARIOS["warehouse"].thinned(beams=16, columns=128).varied(walk=walk, gait=NO_GAIT)
