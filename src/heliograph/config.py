@@ -351,7 +351,7 @@ class CalibrationConfig:
     search: float = 0.2
     points: int = 12000
     matches: int = 2500
-    passes: int = 8
+    passes: int = 10
     longest: float = 90.0
 
     def __post_init__(self) -> None:

@@ -23,6 +23,7 @@ __all__ = ["LidarPath", "Placer", "lidar_path"]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
+Points = NDArray[np.float32]
 
 _SIGMA, _KERNEL, _GATE = 0.02, 0.06, 0.15  # across planes [m]; the size of the noise is found from the poses afterwards
 _STEPS, _SETTLED_ROTATION, _SETTLED_POSITION = 8, 5e-6, 2e-5
@@ -93,7 +94,7 @@ def _state(motion: Motion, k: int, beliefs: Beliefs) -> NavState:
 class _Swept:
     """A scan de-skewed to the mean time of its points, where an error of the motion within it cancels best."""
 
-    points: NDArray[np.float32]
+    points: Points
     middle_ns: int
     T_odom_lidar: Array
 
@@ -101,7 +102,8 @@ class _Swept:
 class Placer:
     """Places scans against the map of all of them.
 
-    The points to match with are picked the first time and kept, so that rounds differ only by what was learnt.
+    The points to match with are picked the first time and kept, and which of them lie on settled planes from the second
+    time on, where the map is no longer the odometry's own; so rounds differ only by what was learnt.
 
     Parameters
     ----------
@@ -115,6 +117,8 @@ class Placer:
         self._config, self._threads = config, threads
         self._leaf = 0.2
         self._picks: dict[int, NDArray[np.int32]] = {}
+        self._masks: dict[int, tuple[NDArray[np.bool_], ...]] = {}
+        self._placed = False
         self._R_cubes_odom: Array | None = None
 
     def place(self, path: LidarPath) -> LidarPoses:
@@ -127,8 +131,12 @@ class Placer:
         """
         inside = [k for k, scan in enumerate(self._scans) if _covers(path, scan)]
         swept = [self._deskewed(self._scans[k], path) for k in inside]
-        local_map = self._mapped(swept)
-        found = [self._register(scan, self._pick(k, scan), local_map) for k, scan in zip(inside, swept, strict=True)]
+        swept, local_map = self._mapped(swept)
+        found = [
+            self._register(scan, self._chosen(k, scan, local_map), local_map)
+            for k, scan in zip(inside, swept, strict=True)
+        ]
+        self._placed = True
         good = [(scan, *fit) for scan, fit in zip(swept, found, strict=True) if fit is not None]
         if len(good) < 3 or 2 * len(good) < len(swept):
             raise CalibrationError(
@@ -141,11 +149,16 @@ class Placer:
             covariance=np.stack([covariance for _, _, covariance in good]),
         )
 
-    def _mapped(self, swept: Sequence[_Swept]) -> PlaneMap:
-        """Return the map of all scans, its cubes turned against the walls that the first one finds."""
+    def _mapped(self, swept: Sequence[_Swept]) -> tuple[list[_Swept], PlaneMap]:
+        """Return the scans with their noise across the surfaces, and the map of them.
+
+        Its cubes are turned against the walls that the first one finds.
+        """
         if self._R_cubes_odom is None:
             self._R_cubes_odom = turn_against(*self._map_turned(swept, np.eye(3)[None]).normals(), _SETS)
-        return self._map_turned(swept, self._R_cubes_odom)
+        rough = self._map_turned(swept, self._R_cubes_odom[:1])
+        swept = [replace(scan, points=rough.across_planes(scan.points, scan.T_odom_lidar, _GATE)) for scan in swept]
+        return swept, self._map_turned(swept, self._R_cubes_odom)
 
     def _map_turned(self, swept: Sequence[_Swept], R_cubes_odom: Array) -> PlaneMap:
         local_map = PlaneMap(self._config.map, R_cubes_odom)
@@ -169,7 +182,7 @@ class Placer:
         )
         return _Swept(points, middle_ns, T[k])
 
-    def _pick(self, k: int, scan: _Swept) -> NDArray[np.float32]:
+    def _pick(self, k: int, scan: _Swept) -> Points:
         """Return about as many points of a scan as are wanted, spread evenly."""
         if k not in self._picks:
             wanted = self._config.calibration.matches
@@ -182,11 +195,18 @@ class Placer:
             self._picks[k] = picked
         return np.ascontiguousarray(scan.points[self._picks[k]])
 
-    def _register(self, scan: _Swept, points: NDArray[np.float32], local_map: PlaneMap) -> tuple[Array, Array] | None:
+    def _chosen(self, k: int, scan: _Swept, local_map: PlaneMap) -> list[Points]:
+        """Return the points to place a scan with for each set of cubes, the same ones from the second time on."""
+        points = self._pick(k, scan)
+        masks = self._masks.get(k) or local_map.settled(points, scan.T_odom_lidar, _GATE)
+        if self._placed:
+            self._masks[k] = masks
+        return [np.ascontiguousarray(points[mask]) for mask in masks]
+
+    def _register(self, scan: _Swept, chosen: Sequence[Points], local_map: PlaneMap) -> tuple[Array, Array] | None:
         """Return the pose and its covariance (right perturbation) by the planes alone, or None without enough."""
         settings = MatchSettings(gate=_GATE, kernel=_KERNEL, sigma=_SIGMA, fallback_stride=0, threads=self._threads)
         T = scan.T_odom_lidar
-        chosen = local_map.settled(points, T, _GATE)
         for _ in range(_STEPS):
             information, gradient, matches = local_map.linearize(chosen, T, settings)
             if matches < _FEWEST:
@@ -196,7 +216,9 @@ class Placer:
             T = se3.from_rotation_translation(T[:3, :3] @ so3.exp(step[:3]), T[:3, 3] + T[:3, :3] @ step[3:])
             if np.linalg.norm(step[:3]) < _SETTLED_ROTATION and np.linalg.norm(step[3:]) < _SETTLED_POSITION:
                 break
-        return T, np.asarray(np.linalg.inv(information), dtype=np.float64)
+        scatter = local_map.scatter(chosen, T, settings) + _LOOSE * np.eye(6)
+        inverse = np.linalg.inv(information)
+        return T, np.asarray(inverse @ scatter @ inverse, dtype=np.float64)
 
 
 def _covers(path: LidarPath, scan: Scan) -> bool:

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from heliograph.config import MapConfig
 from heliograph.lie import se3, so3
 from heliograph.maps import VoxelMap
-from heliograph.registration import MatchSettings, NormalEquations, linearize
+from heliograph.registration import MatchSettings, NormalEquations, gradient_scatter, linearize
 
 __all__ = ["PlaneMap", "turn_against"]
 
 Array = NDArray[np.float64]
 Points = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 _AVERAGED = 1_000_000  # points a cube averages: unlike an odometry's map, this one is made of all scans at once
 _PARALLEL, _APART = 0.998, 0.008  # normals' cosine and distance [m] within which two planes are one
@@ -37,6 +38,9 @@ class PlaneMap:
       plane counts only where the cube of twice the size has it too.
     * What is left depends on where the cubes happen to lie. So there are several sets of them, and their equations are
       averaged.
+    * A range's noise moves a point along its beam, so also along the surface, and where the density of the points falls
+      with the distance, more of those in a cube are too far than too near: planes seen under an angle lie behind the
+      surface. So the noise is laid across the surface before points are added; see `across_planes`.
 
     Parameters
     ----------
@@ -57,8 +61,21 @@ class PlaneMap:
         """Return the normals of the first set's finest planes (M, 3), odom axes, and how many points each has (M,)."""
         return self._sets[0].normals()
 
-    def settled(self, points: Points, T_odom_lidar: Array, gate: float) -> tuple[Points, ...]:
-        """Return for each set of cubes the points on planes of both sizes; all of them where those are too few."""
+    def across_planes(self, points: Points, T_odom_lidar: Array, gate: float) -> Points:
+        """Return points with the distance to their plane of the first set laid along its normal instead of their beam.
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+            Lidar frame [m].
+        T_odom_lidar : (4, 4) float64
+        gate : float
+            A point farther from its plane, along its beam, is no noise of that plane's and stays [m].
+        """
+        return self._sets[0].across_planes(points, T_odom_lidar, gate)
+
+    def settled(self, points: Points, T_odom_lidar: Array, gate: float) -> tuple[Mask, ...]:
+        """Return for each set of cubes which points (N,) lie on planes of both sizes; all where those are too few."""
         return tuple(cubes.settled(points, T_odom_lidar, gate) for cubes in self._sets)
 
     def linearize(
@@ -66,15 +83,28 @@ class PlaneMap:
     ) -> tuple[Array, Array, int]:
         """Return information (6, 6) and gradient (6,) for turns and shifts along lidar axes, and the fewest matches.
 
-        ``points`` are those of `settled`, a set of cubes each.
+        ``points`` are those that `settled` chose, a set of cubes each.
         """
         each = [cubes.linearize(some, T_odom_lidar, settings) for cubes, some in zip(self._sets, points, strict=True)]
-        # The registration's position error is along the cubes' axes; a right perturbation's is along the body's.
-        turns = np.tile(np.eye(6), (len(each), 1, 1))
-        turns[:, 3:, 3:] = [cubes.R_cubes_odom @ T_odom_lidar[:3, :3] for cubes in self._sets]
+        turns = self._turns(T_odom_lidar)
         information = np.einsum("kai,kab,kbj->ij", turns, np.stack([e.information for e in each]), turns)
         gradient = np.einsum("kai,ka->i", turns, np.stack([e.gradient for e in each]))
         return information / len(each), gradient / len(each), min(e.matches for e in each)
+
+    def scatter(self, points: Sequence[Points], T_odom_lidar: Array, settings: MatchSettings) -> Array:
+        """Return the covariance (6, 6) of the gradient, as the residuals of the single matches show it.
+
+        The sets of cubes look at the same points, so their gradients' errors are taken as one.
+        """
+        each = [cubes.scatter(some, T_odom_lidar, settings) for cubes, some in zip(self._sets, points, strict=True)]
+        turns = self._turns(T_odom_lidar)
+        return np.asarray(np.einsum("kai,kab,kbj->ij", turns, np.stack(each), turns) / len(each))
+
+    def _turns(self, T_odom_lidar: Array) -> Array:
+        """Return what takes errors along lidar axes to the registrations', (K, 6, 6): position along the cubes."""
+        turns = np.tile(np.eye(6), (len(self._sets), 1, 1))
+        turns[:, 3:, 3:] = [cubes.R_cubes_odom @ T_odom_lidar[:3, :3] for cubes in self._sets]
+        return turns
 
 
 class _Cubes:
@@ -97,7 +127,20 @@ class _Cubes:
         planes = table[(table[:, 0] == table[:, 0].min()) & (table[:, 11] >= 0.0)] if len(table) else table
         return planes[:, 5:8] @ self.R_cubes_odom, planes[:, 1]
 
-    def settled(self, points: Points, T_odom_lidar: Array, gate: float) -> Points:
+    def across_planes(self, points: Points, T_odom_lidar: Array, gate: float) -> Points:
+        T, p = self._T_cubes_odom @ T_odom_lidar, points.astype(np.float64)
+        at = p @ T[:3, :3].T + T[:3, 3]
+        found = self._fine.planes_at(at, gate=gate, neighbours=False)
+        normal = found.normal @ T[:3, :3]
+        across = np.einsum("ni,ni->n", found.normal, at - found.point, dtype=np.float64)
+        length = np.linalg.norm(p, axis=1)
+        cosine = np.einsum("ni,ni->n", normal, p) / np.maximum(length, 1e-9)
+        noise = (found.source > 0) & (np.abs(across) < gate * np.abs(cosine))
+        along = np.divide(across, cosine * length, out=np.zeros_like(across), where=noise)
+        across = np.where(noise, across, 0.0)
+        return np.ascontiguousarray(p - along[:, None] * p + across[:, None] * normal, dtype=np.float32)
+
+    def settled(self, points: Points, T_odom_lidar: Array, gate: float) -> Mask:
         T = self._T_cubes_odom @ T_odom_lidar
         at = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
         fine, coarse = (cubes.planes_at(at, gate=gate, neighbours=False) for cubes in (self._fine, self._coarse))
@@ -108,10 +151,13 @@ class _Cubes:
         both = matched & (coarse.source > 0) & (np.abs(cosine) > _PARALLEL)
         both &= np.abs(by_fine - by_coarse) < _APART
         few = np.count_nonzero(both) < _ENOUGH * np.count_nonzero(matched)
-        return points if few else np.ascontiguousarray(points[both])
+        return np.ones(len(points), dtype=np.bool_) if few else np.asarray(both)
 
     def linearize(self, points: Points, T_odom_lidar: Array, settings: MatchSettings) -> NormalEquations:
         return linearize(self._fine, points, self._T_cubes_odom @ T_odom_lidar, np.eye(4), settings)
+
+    def scatter(self, points: Points, T_odom_lidar: Array, settings: MatchSettings) -> Array:
+        return gradient_scatter(self._fine, points, self._T_cubes_odom @ T_odom_lidar, settings)
 
 
 def turn_against(normals: Array, weights: Array, count: int) -> Array:

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from heliograph import _core
 from heliograph.errors import ConfigError
-from heliograph.maps import LocalMap, VoxelMap
+from heliograph.maps import LocalMap, PlaneMatches, VoxelMap
 
-__all__ = ["MatchSettings", "NormalEquations", "linearize"]
+__all__ = ["MatchSettings", "NormalEquations", "gradient_scatter", "linearize"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,6 +181,56 @@ def _from_sums(sums: tuple[Any, ...], columns: NDArray[np.intp], queries: int) -
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Matches:
+    """Matches one by one: Jacobian (M, C), residual (M,), robust weight (M,), inverse variance (M,), source (M,)."""
+
+    J: NDArray[np.float64]
+    r: NDArray[np.float64]
+    w: NDArray[np.float64]
+    inv_var: NDArray[np.float64]
+    source: NDArray[np.uint8]
+
+
+def _matched(
+    found: PlaneMatches,
+    points: NDArray[np.float64],
+    T: NDArray[np.float64],
+    settings: MatchSettings,
+    before_end: NDArray[np.float32] | None = None,
+) -> _Matches:
+    some = found.source > 0
+    p, n = points[some], found.normal[some].astype(np.float64)
+    r = np.einsum("ij,ij->i", n, p @ T[:3, :3].T + T[:3, 3] - found.point[some])
+    columns = [np.cross(p, n @ T[:3, :3]), n]
+    if before_end is not None:
+        dt = before_end[some, None].astype(np.float64)
+        columns += [-dt * n, dt * columns[0]]
+    c2 = settings.kernel**2
+    return _Matches(
+        J=np.hstack(columns),
+        r=r,
+        w=(c2 / (c2 + r * r)) ** 2 if c2 > 0.0 else np.ones_like(r),
+        inv_var=np.asarray(1.0 / (settings.sigma**2 + found.variance[some]), dtype=np.float64),
+        source=found.source[some],
+    )
+
+
+def gradient_scatter(
+    local_map: VoxelMap, points: NDArray[np.float32], T_odom_body: NDArray[np.float64], settings: MatchSettings
+) -> NDArray[np.float64]:
+    """Return the sum of ``(w / s^2 r)^2 J^T J`` over the matches, (6, 6), rows as in `linearize`.
+
+    With the information A it gives the covariance ``A^-1 B A^-1`` of the pose for noise that differs from point to
+    point, as that of a range seen under a flat angle does (H. White, 1980). Points without a plane are left out.
+    """
+    p = points.astype(np.float64)
+    at = p @ T_odom_body[:3, :3].T + T_odom_body[:3, 3]
+    found = _matched(local_map.planes_at(at, gate=settings.gate, neighbours=False), p, T_odom_body, settings)
+    rows = found.J * (found.w * found.inv_var * found.r)[:, None]
+    return np.asarray(rows.T @ rows)
+
+
 def _linearize_any(
     local_map: LocalMap,
     points_imu: NDArray[np.float32],
@@ -191,32 +241,21 @@ def _linearize_any(
     """Do the same for a user's own map, in NumPy."""
     if settings.residual == "point":
         raise ConfigError("point-to-point residuals exist for the voxel map only; use residual 'plane'")
-    R, t = T_odom_imu[:3, :3], T_odom_imu[:3, 3]
     p = points_imu.astype(np.float64)
-    found = local_map.planes_at(p @ R.T + t, gate=settings.gate)
-    some = found.source > 0
-    p, n = p[some], found.normal[some].astype(np.float64)
-    r = np.einsum("ij,ij->i", n, p @ R.T + t - found.point[some])
-    m = n @ R
-    columns = [np.cross(p, m), n]
-    if before_end is not None:
-        dt = before_end[some, None].astype(np.float64)
-        columns += [-dt * n, dt * columns[0]]
-    J = np.hstack(columns)
-    c2 = settings.kernel**2
-    w = (c2 / (c2 + r * r)) ** 2 if c2 > 0.0 else np.ones_like(r)
+    planes = local_map.planes_at(p @ T_odom_imu[:3, :3].T + T_odom_imu[:3, 3], gate=settings.gate)
+    found = _matched(planes, p, T_odom_imu, settings, before_end)
+    r, w, c2 = found.r, found.w, settings.kernel**2
     rho = 0.5 * r * r * (c2 / (c2 + r * r) if c2 > 0.0 else 1.0)
-    inv_var = 1.0 / (settings.sigma**2 + found.variance[some])
-    weighted = J * (w * inv_var)[:, None]
+    weighted = found.J * (w * found.inv_var)[:, None]
     return NormalEquations(
-        information=weighted.T @ J,
+        information=weighted.T @ found.J,
         gradient=weighted.T @ r,
         columns=_errors(mounting=False, motion=before_end is not None),
-        weight=float((w * inv_var).sum()),
+        weight=float((w * found.inv_var).sum()),
         robust_weight=float(w.sum()),
         square=float((w * r * r).sum()),
-        cost=float((rho * inv_var).sum()),
-        matches=int(some.sum()),
+        cost=float((rho * found.inv_var).sum()),
+        matches=len(r),
         fallback_matches=int((found.source == 255).sum()),
         queries=len(points_imu),
     )

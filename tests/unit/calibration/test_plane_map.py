@@ -1,11 +1,14 @@
 """The map of a calibration: walls in the faces of cubes, and edges."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from heliograph.calibration.plane_map import PlaneMap, turn_against
 from heliograph.config import MapConfig
 from heliograph.lie import se3, so3
+from heliograph.maps import VoxelMap
 from heliograph.registration import MatchSettings
 
 WALLS = np.array([[8.0, 6.0, 3.0], [-4.0, -3.0, -1.5]])  # extent and least corner: every wall lies in faces of cubes
@@ -57,7 +60,7 @@ def test_planes_of_cubes_at_edges_are_left_out():
     def distance(some):  # of each point to the nearest edge
         return np.sort(np.minimum(some - WALLS[1], WALLS[1] + WALLS[0] - some), axis=1)[:, 1]
 
-    (kept,) = plane_map.settled(points, np.eye(4), 0.15)
+    kept = points[plane_map.settled(points, np.eye(4), 0.15)[0]]
     assert 0.5 < len(kept) / len(points) < 0.95
     assert np.mean(distance(kept) < 0.1) < 0.3 * np.mean(distance(points) < 0.1)
 
@@ -80,7 +83,7 @@ def test_all_points_are_used_where_planes_of_two_sizes_are_too_few():
     rail = np.stack([np.full(3000, 0.24), rng.uniform(0.0, 0.24, 3000), rng.uniform(-0.4, 0.5, 3000)], axis=1)
     points = np.concatenate([strip, rail]).astype(np.float32)
     plane_map.insert(points, np.eye(4))
-    assert len(plane_map.settled(points, np.eye(4), 0.15)[0]) == len(points)
+    assert plane_map.settled(points, np.eye(4), 0.15)[0].all()
 
 
 def test_equations_are_those_of_turns_and_shifts_along_lidar_axes():
@@ -104,3 +107,61 @@ def test_cubes_are_turned_against_walls_of_any_attitude(seed):
     for R in turn_against(normals, np.array([3.0, 2.0, 1.0] * 2), 3):
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
         assert np.abs(normals @ R.T).max() < 0.93  # 21 degrees from every face
+
+
+FLOOR = 0.12  # in the middle of cubes
+
+
+def swept(rng, count, noise, height):
+    """Return points (count, 3) of a floor as seen from above it, each off along its own beam."""
+    beam = rng.standard_normal((count, 3)) * [1.0, 1.0, 0.4]
+    beam[:, 2] = -np.abs(beam[:, 2])
+    beam = (beam / np.linalg.norm(beam, axis=1)[:, None])[beam[:, 2] < -0.3 * np.linalg.norm(beam[:, :2], axis=1)]
+    ranges = -height / beam[:, 2] + noise * rng.standard_normal(len(beam))
+    return (beam * ranges[:, None]).astype(np.float32)
+
+
+def floor_found(scans, T):
+    """Return the height above the floor of the planes that a map finds (K,), and how many points each has (K,)."""
+    voxels = VoxelMap(replace(MapConfig(), max_points=1_000_000))
+    for scan in scans:
+        voxels.insert(scan, T)
+    table = voxels.table()
+    planes = table[(table[:, 0] == table[:, 0].min()) & (table[:, 11] >= 0.0)]
+    return planes[:, 10] - FLOOR, planes[:, 1]
+
+
+def test_noise_along_the_beams_lies_behind_a_surface_until_it_is_laid_across():
+    rng, height = np.random.default_rng(6), 1.0
+    T = se3.exp(np.array([0.05, -0.02, 0.4, 0.3, 0.1, 0.0]))
+    T[2, 3] = FLOOR + height
+    level = se3.from_rotation_translation(np.eye(3), T[:3, 3])
+    turn = (np.linalg.inv(T) @ level)[:3, :3]
+    scans = [(swept(rng, 8000, 0.04, height) @ turn.T).astype(np.float32) for _ in range(40)]
+    plane_map = PlaneMap(MapConfig(), np.eye(3)[None])
+    for scan in scans:
+        plane_map.insert(scan, T)
+    before, weight = floor_found(scans, T)
+    across = [plane_map.across_planes(scan, T, 0.3) for scan in scans]
+    after, also = floor_found(across, T)
+    behind, mended = np.average(before, weights=weight), np.average(after, weights=also)
+    assert behind < -7e-5
+    assert abs(mended) < 0.5 * abs(behind)
+
+
+def test_laying_across_keeps_the_distance_and_the_beam_and_leaves_what_is_no_noise():
+    rng = np.random.default_rng(7)
+    plane_map = PlaneMap(MapConfig(), np.eye(3)[None])
+    flat = np.stack([*rng.uniform(-3.0, 3.0, (2, 40_000)), np.full(40_000, -0.9)], axis=1).astype(np.float32)
+    plane_map.insert(flat, np.eye(4))
+    feet = np.stack([*rng.uniform(-2.9, 2.9, (2, 500)), np.full(500, -0.9)], axis=1)
+    length = np.linalg.norm(feet, axis=1)
+    along = rng.uniform(-0.1, 0.1, 500)
+    moved = plane_map.across_planes((feet * (1.0 + along / length)[:, None]).astype(np.float32), np.eye(4), 0.15)
+    expected = feet.copy()
+    expected[:, 2] -= along * 0.9 / length
+    np.testing.assert_allclose(moved, expected, atol=1e-5)
+    stray = (feet * (1.0 + 0.2 / length)[:, None]).astype(np.float32)  # beyond the gate along the beam, not across
+    np.testing.assert_array_equal(plane_map.across_planes(stray, np.eye(4), 0.15), stray)
+    nowhere = np.array([[50.0, 0.0, 0.0], [0.0, 0.0, 0.0]], np.float32)
+    np.testing.assert_array_equal(plane_map.across_planes(nowhere, np.eye(4), 0.15), nowhere)

@@ -13,7 +13,7 @@ from heliograph.config import MapConfig
 from heliograph.errors import ConfigError
 from heliograph.lie import se3, so3
 from heliograph.maps import VoxelMap
-from heliograph.registration import MatchSettings, linearize
+from heliograph.registration import MatchSettings, gradient_scatter, linearize
 from heliograph.testing import assert_jacobian, assert_robust_kernel, numeric_jacobian
 from neighbour_map import NeighbourMap
 from reference.maps import SlowVoxelMap
@@ -338,7 +338,7 @@ sys.path.insert(0, sys.argv[1])
 from states import random_pose, room_cloud
 from heliograph.config import MapConfig
 from heliograph.maps import VoxelMap
-from heliograph.registration import MatchSettings, linearize
+from heliograph.registration import MatchSettings, gradient_scatter, linearize
 rng = np.random.default_rng(4)
 fast = VoxelMap(MapConfig(voxel=0.5))
 fast.insert(room_cloud(rng, 4000), np.eye(4))
@@ -371,3 +371,27 @@ def test_instruction_sets_agree_and_each_repeats_its_bits(pytestconfig):
         assert abs(int(a[0]) - int(b[0])) <= 1
         x, y = ([float.fromhex(word) for word in words[1:]] for words in (a, b))
         np.testing.assert_allclose(x, y, rtol=1e-3, atol=1e-4 * max(np.abs(x)))
+
+
+def test_scatter_is_the_gradient_s_covariance_where_the_noise_differs_from_point_to_point(rng):
+    """Noise across surfaces that differs from one to the next: only the scatter gives the spread of the gradient."""
+    cloud = room_cloud(rng, 60_000)
+    local_map, T = VoxelMap(CONFIG), np.eye(4)
+    local_map.insert(cloud, T)
+    settings = replace(SETTINGS, kernel=0.0, fallback_stride=0)
+    some = cloud[rng.choice(len(cloud), 3000, replace=False)].astype(np.float64)
+    found = local_map.planes_at(some, gate=0.25, neighbours=False)
+    some, point, normal = (x[found.source == 1] for x in (some, found.point, found.normal.astype(np.float64)))
+    query = some - np.einsum("ni,ni->n", normal, some - point)[:, None] * normal  # on its plane but for the noise
+    sigma = np.where(np.abs(normal @ normal[0]) > 0.9, 0.06, 0.006)  # one pair of walls
+    gradients, scatters = [], []
+    for _ in range(300):
+        noisy = (query + (sigma * rng.standard_normal(len(query)))[:, None] * normal).astype(np.float32)
+        gradients.append(linearize(local_map, noisy, T, np.eye(4), settings).gradient)
+        scatters.append(gradient_scatter(local_map, noisy, T, settings))
+    true, told = np.cov(gradients, rowvar=False), np.mean(scatters, axis=0)
+    scale = np.sqrt(np.diag(true))
+    np.testing.assert_allclose(told / np.outer(scale, scale), true / np.outer(scale, scale), atol=0.3)
+    information = linearize(local_map, query.astype(np.float32), T, np.eye(4), settings).information
+    # The one size of noise that the information knows is too small for one surface or too large for another.
+    assert np.ptp(np.log(np.diag(true) / np.diag(information))) > 1.0
