@@ -37,6 +37,7 @@ def random_state(rng, *, dim=17, stamp_ns=START_NS):
         g_odom=down,
         T_imu_lidar=random_pose(rng, 0.3),
         covariance=random_covariance(rng, dim),
+        **({"imu_offset": 0.013, "imu_drift": -4e-4} if dim > 23 else {}),
     )
 
 

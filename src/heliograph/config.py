@@ -268,10 +268,12 @@ class FilterConfig:
     constant_velocity_accel, constant_velocity_gyro : float
         Noise of the motion model that stands in for a missing IMU [m/s^2/sqrt(Hz)], [rad/s^2/sqrt(Hz)].
     estimate_mounting, estimate_time_offset : bool
-        Whether the mounting, and the offset of the IMU's clock, are states of the filter; for a mounting that is not
-        known well, see docs/howto/calibrate.md.
+        Whether the mounting, and offset and drift of the IMU's clock, are states of the filter; for a mounting that is
+        not known well, see docs/howto/calibrate.md.
     mounting_rotation_sigma, mounting_lever_sigma, time_offset_sigma : float
         One-sigma of what they may be off at the start [rad], [m], [s].
+    time_drift_sigma_ppm : float
+        One-sigma of how much faster or slower the IMU's clock may run [1e-6]; 0 takes the offset for constant.
     calibration_gain : float
         A direction of mounting and clock is left alone until the motion tells it so many times better than that.
     """
@@ -301,6 +303,7 @@ class FilterConfig:
     mounting_rotation_sigma: float = 0.05
     mounting_lever_sigma: float = 0.1
     time_offset_sigma: float = 0.02
+    time_drift_sigma_ppm: float = 50.0
     calibration_gain: float = 5.0
 
     def __post_init__(self) -> None:
@@ -309,7 +312,7 @@ class FilterConfig:
         check_range(self, "tolerance_rotation", "tolerance_position", "lost_sigma", above=0.0)
         check_range(self, "mounting_rotation_sigma", "mounting_lever_sigma", "time_offset_sigma", above=0.0)
         check_range(self, "calibration_gain", low=1.0)
-        check_range(self, "systematic", "fallback_stride", "vague_share", low=0)
+        check_range(self, "systematic", "fallback_stride", "vague_share", "time_drift_sigma_ppm", low=0)
         check_choice(self, "residual", "plane", "point")
 
 

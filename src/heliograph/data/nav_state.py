@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.data.clock import ImuClock
+
 __all__ = ["NavState"]
 
 
@@ -29,9 +31,12 @@ class NavState:
         Mounting [m].
     covariance : (K, K) float64
         K = 17: rotation (body) 3, position (odom) 3, velocity (odom) 3, gyro bias 3, accelerometer bias 3, gravity
-        direction 2. K = 23 adds mounting rotation (lidar) 3 and lever arm (imu) 3, K = 24 also the clock offset.
+        direction 2. K = 23 adds mounting rotation (lidar) 3 and lever arm (imu) 3, K = 25 also the clock's
+        offset and drift.
     imu_offset : float
-        What the IMU's clock shows more than the LiDAR's, whose stamps the state bears [s].
+        What the IMU's clock shows more than the LiDAR's, whose stamps the state bears, at ``stamp_ns`` [s].
+    imu_drift : float
+        Change of that offset with time [s/s]; 1e-6 is 1 ppm.
     """
 
     stamp_ns: int
@@ -44,6 +49,12 @@ class NavState:
     T_imu_lidar: NDArray[np.float64]
     covariance: NDArray[np.float64]
     imu_offset: float = 0.0
+    imu_drift: float = 0.0
+
+    @property
+    def imu_clock(self) -> ImuClock:
+        """The IMU's clock as this state has it."""
+        return ImuClock(offset=self.imu_offset, drift=self.imu_drift, reference_ns=self.stamp_ns)
 
     @property
     def T_odom_imu(self) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ _CLEAR = 3.0  # sigmas of that noise beyond which a change is taken to be one
 
 
 def clock_shift(before: NavState, after: NavState, imu: ImuBatch, transition: Array, noise: ImuNoise) -> Array:
-    """Return the derivative of a predicted state's errors by the offset of the IMU's clock, (17,).
+    """Return the derivative of a predicted state's errors by the offset of the IMU's clock at its start, (17,).
 
     With a larger offset the interval [s, e] lies later in the samples. The state that it leads to is the same one
     carried on past e and begun after s, so with f = (rate, velocity, acceleration, 0 ...), the speed of the errors,

@@ -17,9 +17,9 @@ from heliograph.lie import s2
 __all__ = ["NAV_DIM", "ImuPath", "model_numbers", "propagate"]
 
 NAV_DIM = 17
-"""Errors that inertial propagation moves; those of mounting and clock, if estimated, follow and stay."""
+"""Errors that inertial propagation moves; those of mounting and clock, if estimated, follow."""
 
-_CLOCK = 23
+_CLOCK, _DRIFT = 23, 24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,9 +58,9 @@ def propagate(
     Parameters
     ----------
     state : NavState
-        At or before ``end_ns``.
+        At or before ``end_ns``; the offset of its IMU's clock goes on at the state's drift.
     imu : ImuBatch
-        Samples around the interval; at least one, ideally one before it and one after it.
+        Samples around the interval, in the clock of the state's stamp; at least one, ideally one more on either side.
     end_ns : int
         Where to stop [ns].
     noise : ImuNoise
@@ -98,10 +98,11 @@ def propagate(
         R_odom_imu=R[-1].copy(),
         p_odom=p[-1].copy(),
         v_odom=v[-1].copy(),
+        imu_offset=state.imu_offset + state.imu_drift * (end_ns - state.stamp_ns) * 1e-9,
     )
-    late = len(state.covariance) > _CLOCK
-    shift = clock_shift(state, moved, imu, transition, noise) if late else None
-    moved = replace(moved, covariance=_grown(state.covariance, transition, added, shift))
+    moved = replace(moved, covariance=_grown(state.covariance, transition, added))
+    if len(state.covariance) > _CLOCK:
+        moved = _with_clock(state, moved, clock_shift(state, moved, imu, transition, noise))
     return moved, ImuPath(stamps_ns=stamps, R_odom_imu=R, p_odom=p, v_odom=v, held_s=held_s)
 
 
@@ -124,21 +125,25 @@ def model_numbers(noise: ImuNoise, config: ImuConfig) -> NDArray[np.float64]:
 
 
 def _grown(
-    before: NDArray[np.float64],
-    transition: NDArray[np.float64],
-    added: NDArray[np.float64],
-    shift: NDArray[np.float64] | None,
+    before: NDArray[np.float64], transition: NDArray[np.float64], added: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return ``F P F^T + Q`` with F and Q over the first `NAV_DIM` errors.
-
-    What follows them only correlates; but where there is a ``shift`` (17,), the clock's offset moves them by it.
-    """
+    """Return ``F P F^T + Q`` with F and Q over the first `NAV_DIM` errors; what follows them only correlates."""
     covariance, nav = before.copy(), slice(0, NAV_DIM)
     covariance[nav] = transition @ covariance[nav]
-    if shift is not None:
-        covariance[nav] += np.outer(shift, covariance[_CLOCK])
     covariance[:, nav] = covariance[:, nav] @ transition.T
-    if shift is not None:
-        covariance[:, nav] += np.outer(covariance[:, _CLOCK], shift)
     covariance[nav, nav] += added
     return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def _with_clock(before: NavState, after: NavState, shift: NDArray[np.float64]) -> NavState:
+    """Return the predicted state ``after`` with ``G P G^T``: what the clock does to a covariance already grown.
+
+    The offset of the start moves the first `NAV_DIM` errors by ``shift`` (17,). A drift over the interval moves the
+    offset, and by half of that, the mean over the interval, them too; eq. (11) and (13) of docs/theory/filter.md.
+    """
+    span = (after.stamp_ns - before.stamp_ns) * 1e-9
+    G = np.eye(len(after.covariance))
+    G[:NAV_DIM, _CLOCK], G[:NAV_DIM, _DRIFT] = shift, 0.5 * span * shift
+    G[_CLOCK, _DRIFT] = span
+    covariance = G @ after.covariance @ G.T
+    return replace(after, covariance=0.5 * (covariance + covariance.T))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from heliograph.config import FilterConfig
 from heliograph.data import ImuBatch, NavState, OnlineCalibration, Rig
-from heliograph.odometry.error_state import CLOCK, MOUNTING
+from heliograph.odometry.error_state import CLOCK, DRIFT, MOUNTING
 from heliograph.odometry.motion import MotionModel
 from heliograph.odometry.update import Linearization, embedded
 
@@ -22,8 +22,9 @@ __all__ = ["CALIBRATION", "CalibrationGate", "uncertain_rig", "with_calibration"
 
 Array = NDArray[np.float64]
 
-CALIBRATION = slice(MOUNTING.start, CLOCK + 1)
-"""The errors that are gated: rotation about lidar axes, lever arm along imu axes, clock offset."""
+CALIBRATION = slice(MOUNTING.start, DRIFT + 1)
+"""The errors that are gated: rotation about lidar axes, lever arm along imu axes, clock offset, clock drift."""
+_SEEN = slice(MOUNTING.start, CLOCK + 1)  # what scans measure; the drift only changes one of them with time
 
 
 def uncertain_rig(rig: Rig, config: FilterConfig) -> Rig:
@@ -42,10 +43,11 @@ def with_calibration(state: NavState, config: FilterConfig) -> NavState:
     """Return a start with the errors of mounting and clock; one that is not estimated is known exactly."""
     if not (config.estimate_mounting or config.estimate_time_offset):
         return state
-    covariance, size = np.zeros((CLOCK + 1, CLOCK + 1)), len(state.covariance)
+    covariance, size = np.zeros((DRIFT + 1, DRIFT + 1)), len(state.covariance)
     covariance[:size, :size] = state.covariance
     if config.estimate_time_offset:
         covariance[CLOCK, CLOCK] = config.time_offset_sigma**2
+        covariance[DRIFT, DRIFT] = (1e-6 * config.time_drift_sigma_ppm) ** 2
     return replace(state, covariance=covariance)
 
 
@@ -55,9 +57,9 @@ class CalibrationGate:
 
     Parameters
     ----------
-    covariance : (24, 24) float64
+    covariance : (25, 25) float64
         Of a filter that lets every direction move.
-    prior_sigma : (7,) float64
+    prior_sigma : (8,) float64
         Of mounting and clock at the start; 0 for what is not estimated.
     gain : float
         A direction opens when it is known so many times better than its prior.
@@ -87,7 +89,7 @@ class CalibrationGate:
         return replace(self, covariance=0.5 * (covariance + covariance.T))
 
     def moved(self, M: Array) -> CalibrationGate:
-        """Return the gate after a change of frame with the derivative ``M`` (24, 24)."""
+        """Return the gate after a change of frame with the derivative ``M`` (25, 25)."""
         return replace(self, covariance=M @ self.covariance @ M.T)
 
     def directions(self) -> tuple[Array, Array]:
@@ -97,17 +99,26 @@ class CalibrationGate:
         -------
         gains : (M,) float64
             Prior sigma by the sigma that the scans would leave, ascending; at least 1.
-        directions : (7, M) float64
+        directions : (8, M) float64
             Columns in units of the prior sigmas, orthonormal; M counts what is estimated.
+
+        Notes
+        -----
+        Eq. (14) of docs/theory/filter.md. The drift has a direction of its own: mixed with the offset that it carries
+        away, a drift not told yet would hold back an offset that is.
         """
-        free = self.prior_sigma > 0.0
-        scale = self.prior_sigma[free]
-        block = self.covariance[CALIBRATION, CALIBRATION][np.ix_(free, free)] / np.outer(scale, scale)
-        # The marginal covariance of this block has what pose, velocity and biases leave open in it already.
+        seen = np.flatnonzero(self.prior_sigma[:-1] > 0.0)
+        scale = self.prior_sigma[seen]
+        block = self.covariance[_SEEN, _SEEN][np.ix_(seen, seen)] / np.outer(scale, scale)
+        # The marginal covariance of this block has what pose, velocity, biases and drift leave open in it already.
         values, vectors = np.linalg.eigh(np.linalg.inv(block))
-        directions = np.zeros((len(free), len(scale)))
-        directions[free] = vectors
-        return np.sqrt(np.maximum(values, 1.0)), directions
+        directions = np.zeros((len(self.prior_sigma), len(scale)))
+        directions[seen] = vectors
+        if self.prior_sigma[-1] > 0.0:
+            values = np.append(values, self.prior_sigma[-1] ** 2 / self.covariance[DRIFT, DRIFT])
+            directions = np.column_stack([directions, np.eye(len(self.prior_sigma))[-1]])
+        order = np.argsort(values, kind="stable")
+        return np.sqrt(np.maximum(values[order], 1.0)), directions[:, order]
 
     def account(self, state: NavState) -> OnlineCalibration:
         """Return what a state says of mounting and clock."""
@@ -118,7 +129,9 @@ class CalibrationGate:
         covariance = turn @ state.covariance[CALIBRATION, CALIBRATION] @ turn.T
         return OnlineCalibration(
             T_imu_lidar=state.T_imu_lidar,
+            stamp_ns=state.stamp_ns,
             imu_offset=state.imu_offset,
+            imu_drift=state.imu_drift,
             sigma=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
             gains=gains,
             directions=turn @ directions,
@@ -126,10 +139,10 @@ class CalibrationGate:
         )
 
     def considered(self) -> Array:
-        """Return the projection (24, 24) of an error onto the directions that may not move, eq. (14)."""
+        """Return the projection (25, 25) of an error onto the directions that may not move, eq. (15)."""
         gains, directions = self.directions()
         shut = directions[:, gains < self.gain]
         projection = np.zeros_like(self.covariance)
-        inverse = np.divide(1.0, self.prior_sigma, out=np.zeros_like(self.prior_sigma), where=self.prior_sigma > 0.0)
-        projection[CALIBRATION, CALIBRATION] = self.prior_sigma[:, None] * (shut @ shut.T) * inverse
+        sigma = np.where(self.prior_sigma > 0.0, self.prior_sigma, 1.0)
+        projection[CALIBRATION, CALIBRATION] = (shut @ shut.T) * (sigma[:, None] / sigma)
         return projection

@@ -1,7 +1,7 @@
 """The error state: how a correction is applied to a navigation state, and how two states differ.
 
 Order: rotation (right perturbation), position, velocity, gyro bias, accelerometer bias, gravity direction on S(2)
-[, mounting rotation (right), lever arm [, clock offset of the IMU]].
+[, mounting rotation (right), lever arm [, offset of the IMU's clock at the state's stamp, its drift]].
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 from heliograph.data import NavState
 from heliograph.lie import s2, so3
 
-__all__ = ["CLOCK", "MOUNTING", "NAV_DIM", "local", "mounting_error", "reset_jacobian", "retract"]
+__all__ = ["CLOCK", "DRIFT", "MOUNTING", "NAV_DIM", "local", "mounting_error", "reset_jacobian", "retract"]
 
 Array = NDArray[np.float64]
 
 NAV_DIM = 17
 MOUNTING = slice(17, 23)
-CLOCK = 23
-"""Where the errors of mounting and clock are, if the state has them."""
+CLOCK, DRIFT = 23, 24
+"""Where the errors of mounting, clock offset and clock drift are, if the state has them."""
 
 
 def retract(state: NavState, delta: Array) -> NavState:
-    """Return ``state`` moved by the error vector ``delta`` (17,), (23,) or (24,); covariance and stamp are kept."""
+    """Return ``state`` moved by the error vector ``delta`` (17,), (23,) or (25,); covariance and stamp are kept."""
     magnitude = float(np.linalg.norm(state.g_odom))
     g_odom = state.g_odom
     if magnitude > 0.0:
@@ -35,6 +35,7 @@ def retract(state: NavState, delta: Array) -> NavState:
         T_imu_lidar = T_imu_lidar.copy()
         T_imu_lidar[:3, :3] = T_imu_lidar[:3, :3] @ so3.exp(delta[17:20])
         T_imu_lidar[:3, 3] += delta[20:23]
+    late, faster = (float(delta[CLOCK]), float(delta[DRIFT])) if len(delta) > CLOCK else (0.0, 0.0)
     return replace(
         state,
         R_odom_imu=state.R_odom_imu @ so3.exp(delta[0:3]),
@@ -44,7 +45,8 @@ def retract(state: NavState, delta: Array) -> NavState:
         accel_bias=state.accel_bias + delta[12:15],
         g_odom=g_odom,
         T_imu_lidar=T_imu_lidar,
-        imu_offset=state.imu_offset + float(delta[CLOCK]) if len(delta) > CLOCK else state.imu_offset,
+        imu_offset=state.imu_offset + late,
+        imu_drift=state.imu_drift + faster,
     )
 
 
@@ -63,6 +65,7 @@ def local(origin: NavState, state: NavState) -> Array:
         delta[MOUNTING] = mounting_error(origin.T_imu_lidar, state.T_imu_lidar)
     if len(delta) > CLOCK:
         delta[CLOCK] = state.imu_offset - origin.imu_offset
+        delta[DRIFT] = state.imu_drift - origin.imu_drift
     return delta
 
 

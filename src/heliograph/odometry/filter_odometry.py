@@ -12,7 +12,6 @@ from heliograph.lie import so3
 from heliograph.maps import LocalMap
 from heliograph.odometry.calibration_gate import uncertain_rig, with_calibration
 from heliograph.odometry.filter import FilterCore
-from heliograph.odometry.motion import offset_ns
 from heliograph.odometry.sequencer import Packet, Sequencer
 from heliograph.odometry.start import FirstLook, find_start, look
 
@@ -97,7 +96,8 @@ class FilterOdometry:
         sigma = found.sigma
         text = (
             f"estimated along: mounting rotation to +- {np.degrees(sigma[:3].max()):.2f} deg, lever arm to "
-            f"+- {sigma[3:6].max():.3f} m, clock offset {1e3 * found.imu_offset:.2f} +- {1e3 * sigma[6]:.2f} ms"
+            f"+- {sigma[3:6].max():.3f} m, clock offset {1e3 * found.imu_offset:.2f} +- {1e3 * sigma[6]:.2f} ms, "
+            f"drift {1e6 * found.imu_drift:.1f} +- {1e6 * sigma[7]:.1f} ppm"
         )
         if found.kept_names:
             text += f"; not excited and kept as given: {', '.join(found.kept_names)} - turn about all axes to tell them"
@@ -136,12 +136,18 @@ class FilterOdometry:
 
     def _step(self, packet: Packet) -> ScanResult:
         assert self.core is not None
-        offset, around = offset_ns(self.core.state), self._around_ns
-        imu = self._sequencer.imu.between(self.core.state.stamp_ns + offset - around, packet.end_ns + offset + around)
+        begin_ns, end_ns = self._imu_time(self.core.state.stamp_ns), self._imu_time(packet.end_ns)
+        imu = self._sequencer.imu.between(begin_ns - self._around_ns, end_ns + self._around_ns)
         if packet.scan is not None:
             result = self.core.process(packet.scan, imu)
         else:
             result = self.core.dead_reckon(packet.end_ns, imu)
-        self._sequencer.imu.forget_before(self.core.state.stamp_ns + offset - _FORGET * around)
-        self._sequencer.lead_ns = offset_ns(self.core.state) + around
+        now_ns = self._imu_time(packet.end_ns)
+        self._sequencer.imu.forget_before(now_ns - _FORGET * self._around_ns)
+        self._sequencer.lead_ns = now_ns - packet.end_ns + self._around_ns
         return result
+
+    def _imu_time(self, lidar_ns: int) -> int:
+        """Return what the IMU's clock shows at a stamp of the LiDAR's, as the state has it now [ns]."""
+        assert self.core is not None
+        return int(self.core.state.imu_clock.imu_time(np.int64(lidar_ns)))

@@ -64,7 +64,7 @@ class Online:
 
     Parameters
     ----------
-    considered : (24, 24) float64
+    considered : (25, 25) float64
         Projection onto the directions that must not move.
     rate_change : (3,) float64
         Of the body's rate within the sweep [rad/s^2].

@@ -12,7 +12,7 @@ from heliograph.data import ImuBatch, ImuNoise, NavState
 from heliograph.imu import ImuPath, propagate
 from heliograph.lie import so3
 
-__all__ = ["MotionModel", "corrected_path", "offset_ns", "rate_change", "sweep_path"]
+__all__ = ["MotionModel", "corrected_path", "rate_change", "sweep_path"]
 
 
 class MotionModel:
@@ -44,16 +44,11 @@ class MotionModel:
         if not self.inertial:
             stamps = np.array([state.stamp_ns, max(end_ns, state.stamp_ns + 1)], dtype=np.int64)
             imu = ImuBatch(stamps_ns=stamps, gyro=np.zeros((2, 3)), accel=np.zeros((2, 3)), received_ns=0)
-        elif state.imu_offset != 0.0:
-            imu = replace(imu, stamps_ns=imu.stamps_ns - offset_ns(state))
+        elif not state.imu_clock.exact:
+            imu = replace(imu, stamps_ns=state.imu_clock.lidar_time(imu.stamps_ns))
         moved, path = propagate(state, imu, end_ns, noise=self._noise, config=self._config)
         # Without an IMU none of its samples is missing, however long the way from scan to scan.
         return moved, path if self.inertial else replace(path, held_s=0.0)
-
-
-def offset_ns(state: NavState) -> int:
-    """Return what the IMU's clock shows more than the LiDAR's [ns]."""
-    return round(1e9 * state.imu_offset)
 
 
 def rate_change(path: ImuPath) -> NDArray[np.float64]:

@@ -53,9 +53,11 @@ CALIBRATION = (
     *_triple("mounting_rotation"),
     *_triple("lever_arm"),
     "imu_offset",
+    "imu_drift_ppm",
     *_triple("sigma_mounting_rotation"),
     *_triple("sigma_lever_arm"),
     "sigma_imu_offset",
+    "sigma_imu_drift_ppm",
     "directions_kept",
 )
 # Columns that are vectors in the odom frame and turn with it when gravity is re-estimated at the end.
@@ -218,7 +220,8 @@ def sigmas(result: ScanResult) -> NDArray[np.float64]:
 
 def _calibration(found: OnlineCalibration) -> NDArray[np.float64]:
     turn = so3.log(found.T_imu_lidar[:3, :3])
-    return np.concatenate([turn, found.T_imu_lidar[:3, 3], [found.imu_offset], found.sigma, [found.kept.sum()]])
+    clock, sigma = (found.imu_offset, 1e6 * found.imu_drift), (*found.sigma[:7], 1e6 * found.sigma[7])
+    return np.concatenate([turn, found.T_imu_lidar[:3, 3], clock, sigma, [found.kept.sum()]])
 
 
 def _shortened(floats: NDArray[np.float64]) -> list[float]:
