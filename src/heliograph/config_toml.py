@@ -201,6 +201,8 @@ def _convert(kind: Any, value: Value, key: str) -> Value:  # noqa: ANN401 - a ty
         raise ConfigError(f"{key} = {value!r} is {_noun(type(value))}; it must be {_noun(kind)}")
     if kind is float and math.isnan(value):
         raise ConfigError(f"{key} = nan; it must be a number")
+    if kind is float and math.isinf(value):
+        raise ConfigError(f"{key} = {value}; it must be finite - for no limit give a large number such as 1e9")
     return value
 
 

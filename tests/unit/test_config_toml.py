@@ -50,7 +50,7 @@ ODD = Outer(
     count=-3,
     fast=True,
     mode='quo"te\\\n\x7f',
-    inner=Inner(low=1e-30, high=float("inf"), levels=(0.1,), window=(0, -1), names=("ä", "")),
+    inner=Inner(low=1e-30, high=1e300, levels=(0.1,), window=(0, -1), names=("ä", "")),
 )
 
 
@@ -102,6 +102,9 @@ def test_load_config_error_names_file_key_and_suggestion(tmp_path):
         ("count=true", "it must be a whole number"),
         ("inner.high=true", "it must be a number"),
         ("inner.high=nan", "it must be a number"),
+        ("inner.high=inf", "inner.high = inf; it must be finite.*1e9"),
+        ("inner.low=-inf", "it must be finite"),
+        ("inner.levels=[1.0, inf]", r"inner.levels\[1\] = inf"),
         ("fast=1", "it must be true or false"),
         ("inner=1", "is a section"),
         ("count.x=1", "'count' is a value, not a section"),
