@@ -312,7 +312,8 @@ class FilterConfig:
         check_range(self, "tolerance_rotation", "tolerance_position", "lost_sigma", above=0.0)
         check_range(self, "mounting_rotation_sigma", "mounting_lever_sigma", "time_offset_sigma", above=0.0)
         check_range(self, "calibration_gain", low=1.0)
-        check_range(self, "systematic", "fallback_stride", "vague_share", "time_drift_sigma_ppm", low=0)
+        check_range(self, "systematic", "fallback_stride", "vague_share", low=0)
+        check_range(self, "time_drift_sigma_ppm", low=0.0, high=1e4)  # no clock is off by more than a percent
         check_choice(self, "residual", "plane", "point")
 
 

@@ -360,8 +360,9 @@ def test_settings_are_checked():
         replace(FILTER, calibration_gain=0.5)
     with pytest.raises(ConfigError, match="time_offset_sigma"):
         replace(FILTER, time_offset_sigma=0.0)
-    with pytest.raises(ConfigError, match="time_drift_sigma_ppm"):
-        replace(FILTER, time_drift_sigma_ppm=-1.0)
+    for ppm in (-1.0, 1e6):
+        with pytest.raises(ConfigError, match="time_drift_sigma_ppm"):
+            replace(FILTER, time_drift_sigma_ppm=ppm)
 
 
 def test_time_offset_alone_is_found_and_the_mounting_is_not_touched():
