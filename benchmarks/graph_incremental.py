@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.graph import Solver, chi2, poses, prepare, run_once
 from heliograph.graph import PoseGraphFile, read_pose_graph, solve
-from heliograph.graph.worlds import drive, uneven
+from heliograph.graph.files.worlds import drive, uneven
 
 __all__ = ["INCREMENTAL_GRAPHS", "compare_incremental", "measure_incremental_scale"]
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.graph import SAME_OPTIMUM, Solver, chi2, poses, prepare, run_once
 from heliograph.graph import PoseGraphFile, read_pose_graph
-from heliograph.graph.worlds import World, grid_walk, manhattan
+from heliograph.graph.files.worlds import World, grid_walk, manhattan
 
 __all__ = ["RIVALS", "WORLDS", "exponent", "measure_scale"]
 

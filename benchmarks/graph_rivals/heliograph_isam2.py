@@ -14,7 +14,7 @@ import numpy as np
 from replays import report_replay
 
 from heliograph.graph import ISAM2, ISAM2Settings, read_pose_graph
-from heliograph.graph.replay import replay, replay_steps
+from heliograph.graph.incremental.replay import replay, replay_steps
 
 LIMIT = float(sys.argv[4])
 file = read_pose_graph(sys.argv[1])

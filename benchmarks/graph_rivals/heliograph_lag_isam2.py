@@ -12,7 +12,7 @@ from files import read
 from replays import report_replay
 
 from heliograph.graph import Between, FactorGraph, Information, Values
-from heliograph.graph.fixed_lag import FixedLagSmoother
+from heliograph.graph.incremental.fixed_lag import FixedLagSmoother
 from heliograph.lie import SE2, so2
 
 LAG = int(sys.argv[3])

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 #include "bindings/bindings.hpp"
-#include "graph/diagnosis.hpp"
+#include "graph/diagnosis/diagnosis.hpp"
 
 namespace heliograph {
 

@@ -3,7 +3,7 @@
 #include <string>
 
 #include "bindings/bindings.hpp"
-#include "graph/make_group.hpp"
+#include "graph/factors/make_group.hpp"
 
 namespace heliograph {
 

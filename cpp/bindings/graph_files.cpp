@@ -3,8 +3,8 @@
 #include <nanobind/stl/vector.h>
 
 #include "bindings/bindings.hpp"
-#include "graph/spanning_start.hpp"
-#include "graph/text_rows.hpp"
+#include "graph/problem/spanning_start.hpp"
+#include "graph/files/text_rows.hpp"
 
 namespace heliograph {
 

@@ -2,8 +2,8 @@
 #include <cmath>
 
 #include "bindings/bindings.hpp"
-#include "graph/fill.hpp"
-#include "graph/ordering.hpp"
+#include "graph/ordering/fill.hpp"
+#include "graph/ordering/ordering.hpp"
 
 namespace heliograph {
 

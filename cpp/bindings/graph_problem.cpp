@@ -2,9 +2,9 @@
 #include <nanobind/stl/vector.h>
 
 #include "bindings/bindings.hpp"
-#include "graph/make_group.hpp"
-#include "graph/problem.hpp"
-#include "graph/selected_inverse.hpp"
+#include "graph/factors/make_group.hpp"
+#include "graph/problem/problem.hpp"
+#include "graph/cholesky/selected_inverse.hpp"
 
 namespace heliograph {
 

@@ -2,7 +2,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "bindings/bindings.hpp"
-#include "graph/bayes_tree.hpp"
+#include "graph/tree/bayes_tree.hpp"
 
 namespace heliograph {
 

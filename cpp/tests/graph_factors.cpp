@@ -4,7 +4,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "graph/make_group.hpp"
+#include "graph/factors/make_group.hpp"
 #include "tests/check.hpp"
 
 using namespace heliograph;

@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "graph/spanning_start.hpp"
-#include "graph/text_rows.hpp"
+#include "graph/problem/spanning_start.hpp"
+#include "graph/files/text_rows.hpp"
 #include "tests/check.hpp"
 
 namespace {

@@ -3,8 +3,8 @@
 #include <random>
 #include <set>
 
-#include "graph/fill.hpp"
-#include "graph/ordering.hpp"
+#include "graph/ordering/fill.hpp"
+#include "graph/ordering/ordering.hpp"
 #include "tests/check.hpp"
 
 namespace {

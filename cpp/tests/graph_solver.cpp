@@ -5,9 +5,9 @@
 #include <numeric>
 #include <random>
 
-#include "graph/make_group.hpp"
-#include "graph/problem.hpp"
-#include "graph/selected_inverse.hpp"
+#include "graph/factors/make_group.hpp"
+#include "graph/problem/problem.hpp"
+#include "graph/cholesky/selected_inverse.hpp"
 #include "tests/check.hpp"
 
 namespace {

@@ -6,7 +6,7 @@
 #include <random>
 #include <stdexcept>
 
-#include "graph/bayes_tree.hpp"
+#include "graph/tree/bayes_tree.hpp"
 #include "tests/check.hpp"
 
 namespace {

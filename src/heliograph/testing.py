@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import GraphError
-from heliograph.graph.factor import Factor
-from heliograph.graph.families import Family
+from heliograph.graph.model.factor import Factor
+from heliograph.graph.model.families import Family
 from heliograph.lie import so3
 from heliograph.lie.groups import MatrixGroup
 from heliograph.maps import LocalMap

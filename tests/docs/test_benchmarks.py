@@ -9,7 +9,7 @@ import pytest
 
 from heliograph.data import Trajectory
 from heliograph.graph import solve, write_g2o
-from heliograph.graph.worlds import grid_walk, manhattan
+from heliograph.graph.files.worlds import grid_walk, manhattan
 from heliograph.lie import SE2, SE3, se3
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,7 +15,7 @@ from heliograph.graph import (
     Values,
     solve,
 )
-from heliograph.graph.worlds import manhattan
+from heliograph.graph.files.worlds import manhattan
 
 gtsam = pytest.importorskip("gtsam")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from heliograph.graph.worlds import uneven
+from heliograph.graph.files.worlds import uneven
 
 gtsam = pytest.importorskip("gtsam")
 

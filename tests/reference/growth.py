@@ -17,7 +17,7 @@ from heliograph.graph import (
     Range,
     Values,
 )
-from heliograph.graph.problem import Problem
+from heliograph.graph.problem.problem import Problem
 from heliograph.lie import SE2, SE3, ExtendedPose
 
 POINT, STATE, NAVIGATION = 10_000, 20_000, 30_000  # where the keys of the other families begin

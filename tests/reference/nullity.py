@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from heliograph.graph.problem import Problem
+from heliograph.graph.problem.problem import Problem
 
 
 def dense_jacobian(graph, values):

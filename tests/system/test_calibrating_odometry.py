@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from heliograph.cli.main import main
 from heliograph.data import Rig
-from heliograph.io.extrinsic import write_extrinsic
+from heliograph.io.files.extrinsic import write_extrinsic
 from heliograph.sim import simulate
 from heliograph.sim.write import write_recording
 from online_trials import CONFIG, online_trial, scenario

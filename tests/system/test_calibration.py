@@ -11,7 +11,7 @@ from heliograph.calibration import calibrate
 from heliograph.cli.main import main
 from heliograph.config import RunConfig
 from heliograph.data import Rig
-from heliograph.io.extrinsic import write_extrinsic
+from heliograph.io.files.extrinsic import write_extrinsic
 from heliograph.lie import so3
 from heliograph.sim import SCENARIOS, simulate
 from heliograph.sim.write import write_recording

@@ -14,8 +14,8 @@ from heliograph.data import ImuBatch, NavState
 from heliograph.imu import propagate
 from heliograph.lie import so3
 from heliograph.odometry import make_odometry
-from heliograph.odometry.error_state import local, retract
-from heliograph.odometry.update import iterated_update
+from heliograph.odometry.filter.error_state import local, retract
+from heliograph.odometry.filter.update import iterated_update
 from heliograph.sim import SCENARIOS, simulate
 from states import GRAVITY
 

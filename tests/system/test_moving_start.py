@@ -10,7 +10,7 @@ from test_odometry import BOTH, aligned, ate, poses, run, truth_of
 from heliograph.cli.main import main
 from heliograph.config import RunConfig
 from heliograph.data import Scan
-from heliograph.io.tum import read_tum
+from heliograph.io.files.tum import read_tum
 from heliograph.lie import s2
 from heliograph.metrics import evaluate
 from heliograph.odometry import make_odometry

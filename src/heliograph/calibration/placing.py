@@ -16,7 +16,7 @@ from heliograph.data import ImuBatch, ImuNoise, NavState, Scan
 from heliograph.errors import CalibrationError
 from heliograph.imu import propagate
 from heliograph.lie import interpolate_se3, se3, so3
-from heliograph.odometry.motion import corrected_path
+from heliograph.odometry.filter.motion import corrected_path
 from heliograph.registration import MatchSettings
 
 __all__ = ["LidarPath", "Placer", "lidar_path"]

@@ -130,7 +130,7 @@ def calibration_facts(found: Calibration) -> dict[str, Any]:
 
 def _write(folder: Path, found: Calibration, facts: dict[str, Any]) -> None:
     from heliograph.atomic import write_text
-    from heliograph.io.extrinsic import write_extrinsic
+    from heliograph.io.files.extrinsic import write_extrinsic
 
     notes = {
         "axes": [f"{axis.name}: {_value(axis)} +- {_sigma(axis)}, {axis.verdict}" for axis in found.axes],

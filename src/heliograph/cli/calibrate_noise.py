@@ -301,7 +301,7 @@ def _term_facts(term: TermEstimate) -> dict[str, float | None]:
 
 def _write_table(path: Path, result: NoiseCalibration) -> None:
     """Write the curves: Allan deviations with their intervals at rest, spectra in motion."""
-    from heliograph.io.csvs import CsvWriter
+    from heliograph.io.files.csvs import CsvWriter
 
     columns, table = _curve_table(result)
     with CsvWriter(path, columns) as writer:

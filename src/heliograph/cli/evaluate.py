@@ -62,7 +62,7 @@ def evaluate(
 def read_trajectory(path: Path, in_folder: str) -> Trajectory:
     """Read a TUM or KITTI file, told apart by the numbers in a row; of a folder, the file named ``in_folder``."""
     from heliograph.errors import FormatError
-    from heliograph.io.tum import read_kitti, read_tum
+    from heliograph.io.files.tum import read_kitti, read_tum
 
     if path.is_dir():
         path = path / in_folder

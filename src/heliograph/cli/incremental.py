@@ -11,7 +11,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from heliograph.graph import FactorGraph, ISAM2Settings, Values
-    from heliograph.graph.replay import Replay
+    from heliograph.graph.incremental.replay import Replay
 
 __all__ = ["Incremental", "solve_incrementally"]
 
@@ -43,8 +43,8 @@ def solve_incrementally(graph: FactorGraph, values: Values, settings: ISAM2Setti
         The graph cannot be replayed or does not determine its variables; the message says why.
     """
     from heliograph.graph import ISAM2
-    from heliograph.graph.problem import Problem
-    from heliograph.graph.replay import replay, replay_steps
+    from heliograph.graph.incremental.replay import replay, replay_steps
+    from heliograph.graph.problem.problem import Problem
 
     steps = list(replay_steps(graph, values))
     odometry = Problem(graph, values)

@@ -16,7 +16,7 @@ from heliograph.cli import options
 if TYPE_CHECKING:
     from heliograph.cli.incremental import Incremental
     from heliograph.graph import FactorGraph, ISAM2Settings, PoseGraphFile, Solution, Values
-    from heliograph.graph.kernels import Kernel
+    from heliograph.graph.model.kernels import Kernel
 
 __all__ = ["parse_robust", "solve"]
 
@@ -96,7 +96,7 @@ def solve(
     """Find the poses that a pose graph makes most likely."""
     from heliograph.errors import ConfigError
     from heliograph.graph import ISAM2Settings, pose_graph_of
-    from heliograph.graph.g2o import check_toro
+    from heliograph.graph.files.g2o import check_toro
 
     kernel = None if robust is None else parse_robust(robust)
     for path in (output, plot):

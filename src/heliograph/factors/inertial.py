@@ -17,7 +17,7 @@ from heliograph.errors import GraphError
 from heliograph.factors.gravity import STANDARD_GRAVITY, Gravity, GravityDirection, GravityVector, known_gravity
 from heliograph.factors.motion_rows import kept_samples, motion_rows
 from heliograph.graph import Covariance, Factor
-from heliograph.graph.kernels import Kernel
+from heliograph.graph.model.kernels import Kernel
 from heliograph.imu import Preintegration
 from heliograph.lie import S2, ExtendedPose, s2
 

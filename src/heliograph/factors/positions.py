@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import GraphError
 from heliograph.graph import Factor
-from heliograph.graph.kernels import Kernel
-from heliograph.graph.noise import Noise
+from heliograph.graph.model.kernels import Kernel
+from heliograph.graph.model.noise import Noise
 from heliograph.lie import SE3, ExtendedPose, so3
 
 __all__ = ["LeverArmPosition", "LeverArmPositionOnArm", "Velocity"]

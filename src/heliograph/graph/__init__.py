@@ -1,28 +1,28 @@
 """Factor graphs: variables in families, factors between them, and the noise they are weighed with."""
 
-from heliograph.graph.archive import load_graph, save_graph
-from heliograph.graph.diagnosis import Diagnosis, diagnose
+from heliograph.graph.batch.gnc import RobustSettings, RobustSolution, solve_robust
+from heliograph.graph.batch.marginals import Marginals
+from heliograph.graph.batch.solution import Solution
+from heliograph.graph.batch.solve import solve
+from heliograph.graph.diagnosis.diagnosis import Diagnosis, diagnose
+from heliograph.graph.diagnosis.free_motion import FreeMotion
 from heliograph.graph.draw import plot_poses, to_dot
-from heliograph.graph.factor import Factor
-from heliograph.graph.factor_graph import FactorGraph
-from heliograph.graph.factors import Bearing, Between, Landmark, LinearMotion, Position, Prior, Range
-from heliograph.graph.families import Family, family_of, vectors
-from heliograph.graph.fixed_lag import FixedLagSmoother
-from heliograph.graph.free_motion import FreeMotion
-from heliograph.graph.g2o import read_pose_graph, write_g2o, write_toro
-from heliograph.graph.gnc import RobustSettings, RobustSolution, solve_robust
-from heliograph.graph.isam2 import ISAM2, ISAM2Settings, UpdateResult
-from heliograph.graph.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
-from heliograph.graph.marginals import Marginals
-from heliograph.graph.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
-from heliograph.graph.odometry_start import odometry_start
-from heliograph.graph.posegraph import PoseGraphFile
-from heliograph.graph.posegraph_of import pose_graph_of
-from heliograph.graph.settings import SolverSettings
-from heliograph.graph.solution import Solution
-from heliograph.graph.solve import solve
-from heliograph.graph.tree_views import CliqueRecord, plot_cliques, tree_to_dot
-from heliograph.graph.values import Values
+from heliograph.graph.files.archive import load_graph, save_graph
+from heliograph.graph.files.g2o import read_pose_graph, write_g2o, write_toro
+from heliograph.graph.files.odometry_start import odometry_start
+from heliograph.graph.files.posegraph import PoseGraphFile
+from heliograph.graph.files.posegraph_of import pose_graph_of
+from heliograph.graph.incremental.cliques import CliqueRecord, plot_cliques, tree_to_dot
+from heliograph.graph.incremental.fixed_lag import FixedLagSmoother
+from heliograph.graph.incremental.isam2 import ISAM2, ISAM2Settings, UpdateResult
+from heliograph.graph.model.factor import Factor
+from heliograph.graph.model.factor_graph import FactorGraph
+from heliograph.graph.model.factors import Bearing, Between, Landmark, LinearMotion, Position, Prior, Range
+from heliograph.graph.model.families import Family, family_of, vectors
+from heliograph.graph.model.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
+from heliograph.graph.model.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
+from heliograph.graph.model.values import Values
+from heliograph.graph.problem.settings import SolverSettings
 
 __all__ = [
     "DCS",

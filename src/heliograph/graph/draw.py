@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import GraphError, MissingDependencyError
-from heliograph.graph.factor_graph import FactorGraph
-from heliograph.graph.values import Values
+from heliograph.graph.model.factor_graph import FactorGraph
+from heliograph.graph.model.values import Values
 from heliograph.lie import SE2, SE3
 
 if TYPE_CHECKING:

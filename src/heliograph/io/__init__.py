@@ -1,6 +1,6 @@
 """Recordings in, results out: readers, what they infer about the data, and writers."""
 
-from heliograph.io.inference import Inference
+from heliograph.io.inference.record import Inference
 from heliograph.io.info import InfoReport, inspect_recording
 from heliograph.io.prefetch import prefetch
 from heliograph.io.recording import Recording, open_recording

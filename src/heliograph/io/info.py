@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 from heliograph.data import Event
-from heliograph.io.inference import Inference
+from heliograph.io.inference.record import Inference
 from heliograph.io.raw import TopicInfo
 from heliograph.io.recording import Recording
 from heliograph.io.tally import Watch

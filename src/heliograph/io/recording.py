@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from heliograph.config import InputConfig
 from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, Rig, Scan
 from heliograph.errors import CalibrationError, ConfigError, DataError, closest
-from heliograph.io.imu_units import is_usable
-from heliograph.io.inference import Inference
-from heliograph.io.interpret import Interpretation, interpret
+from heliograph.io.bags.rosbag import RosbagSource
+from heliograph.io.inference.imu_units import is_usable
+from heliograph.io.inference.interpret import Interpretation, interpret
+from heliograph.io.inference.record import Inference
+from heliograph.io.inference.scans import to_scan
 from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo
 from heliograph.io.registry import open_raw_source
-from heliograph.io.rosbag import RosbagSource
-from heliograph.io.scans import to_scan
 from heliograph.io.tally import StreamTally
 
 __all__ = ["Recording", "open_recording"]

@@ -17,11 +17,11 @@ from heliograph.io.raw import RawMessage, RawSource, TopicInfo
 __all__ = ["OPENERS", "PACKET_DRIVERS", "PacketContext", "PacketDecoder", "open_raw_source", "packet_decoder"]
 
 OPENERS: tuple[tuple[str, str], ...] = (
-    ("heliograph.io.rosbag", "open_rosbag"),
-    ("heliograph.io.pcap", "open_pcap"),
-    ("heliograph.io.kitti", "open_kitti"),
-    ("heliograph.io.folders", "open_cloud_folder"),
-    ("heliograph.io.imu_files", "open_imu_file"),
+    ("heliograph.io.bags.rosbag", "open_rosbag"),
+    ("heliograph.io.packets.pcap", "open_pcap"),
+    ("heliograph.io.files.kitti", "open_kitti"),
+    ("heliograph.io.files.folders", "open_cloud_folder"),
+    ("heliograph.io.files.imu_files", "open_imu_file"),
 )
 """Module and function of every reader, asked in this order. ``opener(paths)`` returns a `RawSource`, or None for
 another kind."""
@@ -85,7 +85,7 @@ def packet_decoder(message_type: str, context: PacketContext) -> PacketDecoder:
         Its vendor's package is not installed.
     """
     factories: Mapping[str, Callable[[PacketContext], PacketDecoder]] = import_module(
-        "heliograph.io.packets"
+        "heliograph.io.packets.topics"
     ).PACKET_DECODERS
     if message_type not in factories:
         driver = PACKET_DRIVERS.get(message_type, "its driver")

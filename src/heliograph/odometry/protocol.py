@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult
 from heliograph.errors import ConfigError, closest
-from heliograph.odometry.filter_odometry import FilterOdometry
+from heliograph.odometry.filter.odometry import FilterOdometry
 
 __all__ = ["Odometry", "make_odometry"]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from heliograph.atomic import check_output_directory, write_text
 from heliograph.data import GnssFix, ImuBatch, OnlineCalibration, Scan, ScanResult
 from heliograph.errors import OutputError
-from heliograph.io.clouds import write_cloud
+from heliograph.io.files.clouds import write_cloud
 from heliograph.output.facts import final_facts
 from heliograph.output.record import RunRecord
 from heliograph.output.scan_log import ScanLog

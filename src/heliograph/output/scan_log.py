@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import OnlineCalibration, ScanResult
-from heliograph.io.csvs import CsvWriter
+from heliograph.io.files.csvs import CsvWriter
 from heliograph.lie import so3
 
 __all__ = ["ScanLog", "ScanTable"]

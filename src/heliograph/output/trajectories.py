@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import ImuBatch, ScanResult, Trajectory
-from heliograph.io.tum import TumWriter, read_tum, write_tum
+from heliograph.io.files.tum import TumWriter, read_tum, write_tum
 
 __all__ = ["FILES", "TrajectoryFiles"]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from heliograph.atomic import output_error
-from heliograph.io.extrinsic import read_extrinsic, write_extrinsic
+from heliograph.io.files.extrinsic import read_extrinsic, write_extrinsic
 from heliograph.lie import so3
 from heliograph.sim import SCENARIOS, simulate
 from heliograph.sim.write import write_recording
@@ -89,7 +89,7 @@ def test_calibration_is_told_although_the_disk_filled_up_meanwhile(call, folder,
     def full(path, *_, **__):
         raise output_error(path, OSError(errno.ENOSPC, "full"))
 
-    monkeypatch.setattr("heliograph.io.extrinsic.write_extrinsic", full)
+    monkeypatch.setattr("heliograph.io.files.extrinsic.write_extrinsic", full)
     code, text, error = call("calibrate", folder)
     assert code == 2
     assert "the disk is full" in error

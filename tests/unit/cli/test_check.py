@@ -7,7 +7,7 @@ import pytest
 
 from heliograph.checks import IMU_CHECKS
 from heliograph.io import open_recording
-from heliograph.io.rosbag import RosbagSource
+from heliograph.io.bags.rosbag import RosbagSource
 from heliograph.sim import find_scenario
 from heliograph.sim.write import write_recording
 

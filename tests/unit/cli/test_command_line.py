@@ -12,8 +12,8 @@ import pytest
 
 from heliograph.cli import progress
 from heliograph.config_toml import load_config
-from heliograph.io.clouds import read_cloud
-from heliograph.io.tum import read_tum
+from heliograph.io.files.clouds import read_cloud
+from heliograph.io.files.tum import read_tum
 from heliograph.sim import find_scenario
 from heliograph.sim.write import write_recording
 

@@ -18,7 +18,7 @@ from heliograph.graph import (
     write_g2o,
     write_toro,
 )
-from heliograph.graph.worlds import grid_walk, manhattan, with_false_loops
+from heliograph.graph.files.worlds import grid_walk, manhattan, with_false_loops
 from heliograph.lie import SE2
 
 KEYS = {"initial_chi2", "final_chi2", "iterations", "status", "solve_seconds", "warnings", "start", "chi2_per_dof"}

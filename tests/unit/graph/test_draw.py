@@ -8,7 +8,7 @@ import pytest
 from heliograph.errors import GraphError, MissingDependencyError
 from heliograph.graph import Between, FactorGraph, Isotropic, Landmark, Prior, Values
 from heliograph.graph.draw import plot_poses, to_dot
-from heliograph.graph.worlds import grid_walk, manhattan
+from heliograph.graph.files.worlds import grid_walk, manhattan
 from heliograph.lie import SE2, SE3
 
 

@@ -10,7 +10,7 @@ from heliograph.data import ImuBatch
 from heliograph.errors import DataError
 from heliograph.imu import propagate
 from heliograph.lie import s2, so3
-from heliograph.odometry.error_state import local, retract
+from heliograph.odometry.filter.error_state import local, retract
 from heliograph.testing import assert_jacobian
 from reference.propagation import propagate_slowly
 from states import GRAVITY, NOISE, START_NS, random_imu, random_state, rest_state

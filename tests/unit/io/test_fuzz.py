@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from io_bags import drive
+from tests.bags import drive
 
 from heliograph.errors import HeliographError
 from heliograph.io import open_recording

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from io_bags import PERIOD, T0, VELODYNE, Bag, drive, point_dtype, sweep
+from tests.bags import PERIOD, T0, VELODYNE, Bag, drive, point_dtype, sweep
 
 from heliograph.config import InputConfig
 from heliograph.data import ImuBatch, Scan
@@ -210,13 +210,13 @@ def test_cloud_without_coordinates_is_refused(tmp_path):
 
 
 def test_packets_of_an_unknown_maker_name_the_driver(tmp_path):
-    from io_bags import STORES
     from rosbags.typesys import get_types_from_msg
+    from tests.bags import STORES
 
     kind = "pandar_msgs/msg/PandarScan"
     STORES[2].register(get_types_from_msg("std_msgs/Header header\n", kind))
     bag = without(drive(), "/points")
-    from io_bags import header
+    from tests.bags import header
 
     bag.add("/pandar_packets", kind, T0 + 1, lambda store: store.types[kind](header=header(store, T0, "pandar")))
     with pytest.raises(DataError, match=r"packets, not points; replay it through .*nebula"):

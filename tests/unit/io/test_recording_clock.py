@@ -7,7 +7,7 @@ from heliograph.config import InputConfig
 from heliograph.data import ImuBatch, Rig, Scan
 from heliograph.errors import ConfigError
 from heliograph.io import open_recording
-from heliograph.io.extrinsic import write_extrinsic
+from heliograph.io.files.extrinsic import write_extrinsic
 from heliograph.sim import SCENARIOS, simulate
 from heliograph.sim.write import write_recording
 

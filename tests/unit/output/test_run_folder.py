@@ -8,8 +8,8 @@ from fakes import IMU_STEP_NS, PERIOD_NS, START_NS, FakeMap, FakeOdometry, FakeR
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch
 from heliograph.errors import MissingDependencyError, OutputError
-from heliograph.io.clouds import read_cloud
-from heliograph.io.tum import read_tum
+from heliograph.io.files.clouds import read_cloud
+from heliograph.io.files.tum import read_tum
 from heliograph.output.run_folder import RunFolder
 from heliograph.pipeline import run
 

@@ -1,0 +1,8 @@
+// SPDX-License-Identifier: MIT
+#include "graph/cholesky/front.inl"
+
+namespace heliograph {
+
+FrontKernels baseline_front_kernels() { return {eliminate, back_substitute, forward_substitute}; }
+
+}  // namespace heliograph

@@ -1,0 +1,10 @@
+// SPDX-License-Identifier: MIT
+#if defined(HELIOGRAPH_HAVE_AVX2)
+#include "graph/factors/factors.inl"
+
+namespace heliograph {
+
+FactorKernels avx2_factor_kernels() { return {linearize_factors, cost_factors, evaluate_factors}; }
+
+}  // namespace heliograph
+#endif

@@ -1,0 +1,192 @@
+// SPDX-License-Identifier: MIT
+// Whitening, robust weights and the Gauss-Newton blocks of one factor whose stacked row [J_0 J_1 ... r] lies in `W`.
+#pragma once
+#include "graph/factors/factor_view.hpp"
+#include "graph/factors/robust_kernel.hpp"
+#include "lie/series.hpp"
+
+namespace heliograph {
+namespace {
+
+// Sizes known at compile time: the loops below unroll and become vectors.
+template <int Rows, int First, int Second = 0>
+struct Fixed {
+  static constexpr bool kDynamic = false;
+  static constexpr int kWork = Rows * row_stride(First + Second);
+  static constexpr int arity() { return Second > 0 ? 2 : 1; }
+  static constexpr int rows() { return Rows; }
+  static constexpr int dof(int a) { return a == 0 ? First : Second; }
+  static constexpr int column(int a) { return a == 0 ? 0 : First; }
+  static constexpr int columns() { return First + Second; }
+  static constexpr int stride() { return row_stride(First + Second); }
+  explicit Fixed(const FactorView&) {}
+};
+
+// ... and at run time.
+struct Dynamic {
+  static constexpr bool kDynamic = true;
+  static constexpr int kWork = 1;
+  explicit Dynamic(const FactorView& v) : view(v) {
+    for (int a = 0; a < v.arity; ++a) starts[a + 1] = starts[a] + v.dof[a];
+  }
+  int arity() const { return view.arity; }
+  int rows() const { return view.rows; }
+  int dof(int a) const { return view.dof[a]; }
+  int column(int a) const { return starts[a]; }
+  int columns() const { return starts[view.arity]; }
+  int stride() const { return row_stride(starts[view.arity]); }
+  const FactorView& view;
+  int starts[kMaxArity + 1] = {};
+};
+
+HELIOGRAPH_INLINE size_t noise_size(NoiseForm form, int rows) {
+  const auto n = static_cast<size_t>(rows);
+  return form == NoiseForm::scalar ? 1 : (form == NoiseForm::diagonal ? n : n * n);
+}
+
+HELIOGRAPH_INLINE const double* noise_of(const FactorView& v, size_t k, int rows) {
+  return v.sqrt_information + (v.shared_noise ? 0 : k * noise_size(v.noise, rows));
+}
+
+// W <- S W in place, `width` columns of it; S is upper triangular, so row i needs only rows that are not yet changed.
+HELIOGRAPH_INLINE void whiten(NoiseForm form, const double* S, int rows, int stride, int width, double* W) {
+  if (form == NoiseForm::full) {
+    for (int i = 0; i < rows; ++i) {
+      for (int q = 0; q < width; ++q) W[i * stride + q] *= S[i * rows + i];
+      for (int k = i + 1; k < rows; ++k)
+        for (int q = 0; q < width; ++q) W[i * stride + q] += S[i * rows + k] * W[k * stride + q];
+    }
+    return;
+  }
+  for (int i = 0; i < rows; ++i) {
+    const double s = form == NoiseForm::scalar ? S[0] : S[i];
+    for (int q = 0; q < width; ++q) W[i * stride + q] *= s;
+  }
+}
+
+// Adds one factor's part to the sums and returns what its blocks are multiplied by. r is whitened and receives the shift.
+HELIOGRAPH_INLINE double weigh(const FactorView& v, size_t k, int rows, int stride, double* r, GroupCost* sum) {
+  double e2 = 0.0;
+  for (int i = 0; i < rows; ++i) e2 += r[i * stride] * r[i * stride];
+  sum->chi2 += e2;
+  if (v.shift != nullptr) {
+    e2 = 0.0;
+    for (int i = 0; i < rows; ++i) {
+      r[i * stride] += v.shift[k * static_cast<size_t>(rows) + static_cast<size_t>(i)];
+      e2 += r[i * stride] * r[i * stride];
+    }
+  }
+  const double weight = v.weight == nullptr ? 1.0 : v.weight[k];
+  if (v.kernel == KernelType::none) {
+    sum->cost += weight * e2;
+    return weight;
+  }
+  const Robust robust = robust_of(v.kernel, v.kernel_width, e2);
+  sum->cost += weight * robust.cost;
+  return weight * robust.weight;
+}
+
+// One row of W' W: w W[:, p]' W, from column `first` on.
+template <class Layout>
+HELIOGRAPH_INLINE void gram_row(const Layout& layout, const double* W, double w, int p, int first, double* __restrict row) {
+  const int stride = layout.stride();
+  for (int q = first; q < stride; ++q) row[q] = 0.0;
+  for (int k = 0; k < layout.rows(); ++k) {
+    const double s = w * W[k * stride + p];
+    for (int q = first; q < stride; ++q) row[q] += s * W[k * stride + q];
+  }
+}
+
+// Blocks H_ab, a <= b, then the gradients, as factor_group.hpp lays them out.
+template <class Layout>
+HELIOGRAPH_INLINE void write_blocks(const Layout& layout, const double* W, double w, double* row, double* out) {
+  double* gradient = out;
+  for (int a = 0; a < layout.arity(); ++a)
+    for (int b = a; b < layout.arity(); ++b) gradient += layout.dof(a) * layout.dof(b);
+  for (int a = 0; a < layout.arity(); ++a) {
+    for (int p = 0; p < layout.dof(a); ++p) {
+      gram_row(layout, W, w, layout.column(a) + p, layout.column(a) / 4 * 4, row);
+      double* block = out;
+      for (int b = a; b < layout.arity(); ++b) {
+        for (int q = 0; q < layout.dof(b); ++q) block[p * layout.dof(b) + q] = row[layout.column(b) + q];
+        block += layout.dof(a) * layout.dof(b);
+      }
+      *gradient++ = row[layout.columns()];
+    }
+    for (int b = a; b < layout.arity(); ++b) out += layout.dof(a) * layout.dof(b);
+  }
+}
+
+template <class Layout>
+HELIOGRAPH_INLINE size_t blocks_size(const Layout& layout) {
+  int size = 0;
+  for (int a = 0; a < layout.arity(); ++a) {
+    size += layout.dof(a);
+    for (int b = a; b < layout.arity(); ++b) size += layout.dof(a) * layout.dof(b);
+  }
+  return static_cast<size_t>(size);
+}
+
+HELIOGRAPH_INLINE void clear(double* W, int size) {
+  for (int i = 0; i < size; ++i) W[i] = 0.0;
+}
+
+// A residual type gives Layout and evaluate<with Jacobian>(view, layout, k, r, W): the residual, and the Jacobians into the
+// cleared W.
+template <class Residual>
+static void linearize_range(const FactorView& v, size_t begin, size_t end, double* blocks, GroupCost* sum) {
+  using Layout = typename Residual::Layout;
+  const Layout layout(v);
+  const int rows = layout.rows(), stride = layout.stride();
+  double own[Layout::kWork], own_r[Layout::kDynamic ? 1 : Layout::kWork], own_row[Layout::kDynamic ? 1 : Layout::kWork];
+  double* W = Layout::kDynamic ? v.scratch : own;
+  double* r = Layout::kDynamic ? W + rows * stride : own_r;
+  double* row = Layout::kDynamic ? r + rows : own_row;
+  const size_t size = blocks_size(layout);
+  GroupCost total;
+  for (size_t k = begin; k < end; ++k, blocks += size) {
+    clear(W, rows * stride);
+    Residual::template evaluate<true>(v, layout, k, r, W);
+    for (int i = 0; i < rows; ++i) W[i * stride + layout.columns()] = r[i];
+    whiten(v.noise, noise_of(v, k, rows), rows, stride, stride, W);
+    const double w = weigh(v, k, rows, stride, W + layout.columns(), &total);
+    write_blocks(layout, W, w, row, blocks);
+  }
+  *sum = total;
+}
+
+template <class Residual>
+static void cost_range(const FactorView& v, size_t begin, size_t end, GroupCost* sum) {
+  using Layout = typename Residual::Layout;
+  const Layout layout(v);
+  const int rows = layout.rows();
+  double own_r[Layout::kWork];
+  double* r = Layout::kDynamic ? v.scratch : own_r;
+  GroupCost total;
+  for (size_t k = begin; k < end; ++k) {
+    Residual::template evaluate<false>(v, layout, k, r, nullptr);
+    whiten(v.noise, noise_of(v, k, rows), rows, 1, 1, r);
+    weigh(v, k, rows, 1, r, &total);
+  }
+  *sum = total;
+}
+
+template <class Residual>
+static void evaluate_range(const FactorView& v, size_t begin, size_t end, double* residual, double* jacobian) {
+  using Layout = typename Residual::Layout;
+  const Layout layout(v);
+  const int rows = layout.rows(), stride = layout.stride(), columns = layout.columns();
+  double own[Layout::kWork];
+  double* W = Layout::kDynamic ? v.scratch : own;
+  for (size_t k = begin; k < end; ++k) {
+    clear(W, rows * stride);
+    Residual::template evaluate<true>(v, layout, k, residual, W);
+    residual += rows;
+    if (jacobian == nullptr) continue;
+    for (int i = 0; i < rows; ++i)
+      for (int q = 0; q < columns; ++q) *jacobian++ = W[i * stride + q];
+  }
+}
+
+}  // namespace
+}  // namespace heliograph

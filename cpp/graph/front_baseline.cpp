@@ -1,8 +1,0 @@
-// SPDX-License-Identifier: MIT
-#include "graph/front.inl"
-
-namespace heliograph {
-
-FrontKernels baseline_front_kernels() { return {eliminate, back_substitute, forward_substitute}; }
-
-}  // namespace heliograph

@@ -1,8 +1,0 @@
-// SPDX-License-Identifier: MIT
-#include "graph/factors.inl"
-
-namespace heliograph {
-
-FactorKernels baseline_factor_kernels() { return {linearize_factors, cost_factors, evaluate_factors}; }
-
-}  // namespace heliograph

@@ -1,0 +1,1 @@
+"""Solve a whole graph at once: the minimisers, where they begin, robust solving and marginals."""

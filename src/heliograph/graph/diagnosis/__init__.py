@@ -1,0 +1,1 @@
+"""What a graph leaves free, by name."""

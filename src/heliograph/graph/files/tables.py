@@ -1,0 +1,243 @@
+"""Rows of one kind of a pose-graph file, stacked; read, checked and written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph import _core
+from heliograph.errors import FormatError
+from heliograph.graph.files.row_kinds import KINDS, RowKind, matrices_of, numbers_of
+
+__all__ = ["Table", "as_kind", "first_indefinite", "parse_tables", "written"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_EXACT = 2.0**53  # up to here a double holds every whole number
+_NO_INTEGER = np.iinfo(np.int64).min
+_PSD_TOLERANCE = 1e-9  # of the largest eigenvalue: what rounding the file's digits may do to a singular matrix
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Table:
+    """All rows of one kind, in the order of the file.
+
+    Parameters
+    ----------
+    kind : RowKind
+        What they are.
+    ids : (N, 1) or (N, 2) int64
+        The variables they name, in the direction of the file.
+    numbers : (N, kind.numbers) float64
+        Their values to the bit as in the file: angles unwrapped, quaternions not normalised.
+    information : (N, d, d) float64
+        Inverse covariances, rotation first; (N, 0, 0) where the kind has none.
+    parameter : (N,) int64
+        Numbers of sensor offsets, where the kind has them; else zeros, not written.
+    line : (N,) int64
+        Line in the file, 0 for rows that are in none; rows are written in its order.
+    """
+
+    kind: RowKind
+    ids: Ints
+    numbers: Array
+    information: Array
+    parameter: Ints
+    line: Ints
+
+    def __post_init__(self) -> None:
+        for name in ("ids", "numbers", "information", "parameter", "line"):
+            array = np.ascontiguousarray(getattr(self, name)).view()
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def matrices(self) -> Array:
+        """The rows' poses as homogeneous matrices, (N, k, k); for poses, priors and relative poses."""
+        return matrices_of(self.kind, self.numbers)
+
+    def text(self) -> tuple[bytes, Ints]:
+        """Return the rows as lines and the offsets (N + 1) between them."""
+        kind = self.kind
+        integers = np.concatenate([self.ids, self.parameter[:, None]], axis=1) if kind.parameter else self.ids
+        flat = [self.information[:, a, b] for a, b in kind.information]
+        numbers = np.column_stack([self.numbers, *flat])
+        data, offsets = _core.format_rows(kind.tag, np.ascontiguousarray(integers), np.ascontiguousarray(numbers))
+        return data, offsets
+
+    @staticmethod
+    def of(
+        kind: RowKind, ids: Ints, numbers: Array, information: Array | None = None, line: Ints | None = None
+    ) -> Table:
+        """Return a table of rows that come from no file, or from other lines."""
+        n = len(ids)
+        return Table(
+            kind=kind,
+            ids=np.asarray(ids, dtype=np.int64).reshape(n, kind.ids),
+            numbers=np.asarray(numbers, dtype=np.float64),
+            information=np.zeros((n, 0, 0)) if information is None else np.asarray(information, dtype=np.float64),
+            parameter=np.zeros(n, dtype=np.int64),
+            line=np.zeros(n, dtype=np.int64) if line is None else line,
+        )
+
+
+def as_kind(table: Table, tag: str) -> Table:
+    """Return a table of poses or relative poses in another format's words; unchanged if it is of that kind already."""
+    kind = KINDS[tag]
+    if kind is table.kind:
+        return table
+    same = kind.layout == table.kind.layout
+    return replace(table, kind=kind, numbers=table.numbers if same else numbers_of(kind, table.matrices))
+
+
+def written(tables: Iterable[Table], others: Iterable[tuple[int, str]] = ()) -> bytes:
+    """Return the text of a file: every table's rows and the other (line, text) in the order of their lines.
+
+    Rows without a line come first, tables one after the other.
+    """
+    chunks, lines = [], []
+    for table in tables:
+        chunks.append(table.text())
+        lines.append(table.line)
+    for line, text in others:
+        data = text.encode() + b"\n"
+        chunks.append((data, np.array([0, len(data)])))
+        lines.append(np.array([line]))
+    if not chunks:
+        return b""
+    source = np.repeat(np.arange(len(chunks)), [len(x) for x in lines])
+    row = np.concatenate([np.arange(len(x)) for x in lines])
+    order = np.argsort(np.concatenate(lines), kind="stable")
+    source, row = source[order], row[order]
+    # Rows that follow each other in one table are copied together.
+    starts = np.flatnonzero(np.r_[True, (np.diff(source) != 0) | (np.diff(row) != 1)])
+    ends = np.r_[starts[1:], len(row)] - 1
+    spans = zip(source[starts].tolist(), row[starts].tolist(), row[ends].tolist(), strict=True)
+    return b"".join(chunks[s][0][chunks[s][1][a] : chunks[s][1][b + 1]] for s, a, b in spans)
+
+
+def parse_tables(path: Path, data: bytes) -> tuple[list[Table], list[tuple[int, str]]]:
+    """Return the tables of a file's text and the (line, text) of all lines whose tag is none of `KINDS`.
+
+    Raises
+    ------
+    FormatError
+        A line is truncated or too long, or holds a word that is no number, NaN, an id that is no integer, a zero
+        quaternion, or an indefinite information matrix. Names the line.
+    """
+    tags = list(KINDS)
+    tag, line, span, integers, first, numbers, bad = _core.read_rows(data, tags)
+    if bad[0]:
+        word = data[bad[1] : bad[2]].decode(errors="replace")
+        raise FormatError(path, f"line {bad[0]}: '{word[:40]}' is not a number; correct or remove the line")
+    tables = []
+    for index, name in enumerate(tags):
+        rows = np.flatnonzero(tag == index)
+        if len(rows):
+            tables.append(_table(path, KINDS[name], line[rows], integers[rows], first, rows, numbers))
+    tables.sort(key=lambda table: int(table.line[0]))
+    others = [
+        (int(line[k]), data[span[k, 0] : span[k, 1]].decode(errors="replace")) for k in np.flatnonzero(tag < 0).tolist()
+    ]
+    return tables, others
+
+
+def _table(path: Path, kind: RowKind, line: Ints, integers: Ints, first: Ints, rows: Ints, numbers: Array) -> Table:
+    """Return the table of one kind from the numbers of its rows."""
+    count = first[rows + 1] - first[rows]
+    if (count != kind.words).any():
+        k = int(np.argmax(count != kind.words))
+        cut = "the line is cut off" if count[k] < kind.words else "it has too many"
+        raise FormatError(
+            path,
+            f"line {line[k]}: {kind.tag} has {count[k]} numbers after its tag, expected {kind.words} "
+            f"({kind.describe()}); {cut}: complete or remove it",
+        )
+    values = numbers[first[rows][:, None] + np.arange(kind.words)]
+    if not np.isfinite(values).all():
+        k = int(np.argmax(~np.isfinite(values).all(axis=1)))
+        raise FormatError(path, f"line {line[k]}: {kind.tag} holds NaN or infinity; correct or remove the line")
+    ids = integers[:, : kind.ids]
+    if (ids == _NO_INTEGER).any():
+        k = int(np.argmax((ids == _NO_INTEGER).any(axis=1)))
+        raise FormatError(path, f"line {line[k]}: an id of {kind.tag} is not a whole number of 64 bits; renumber it")
+    if kind.parameter and ((np.abs(values[:, kind.ids]) > _EXACT) | (values[:, kind.ids] % 1.0 != 0.0)).any():
+        raise FormatError(path, f"line {line[0]} or a later one: an offset's id of {kind.tag} is not a whole number")
+    start = kind.ids + int(kind.parameter)
+    table = Table(
+        kind=kind,
+        ids=ids,
+        numbers=values[:, start : start + kind.numbers],
+        information=_information(kind, values[:, start + kind.numbers :]),
+        parameter=values[:, kind.ids].astype(np.int64) if kind.parameter else np.zeros(len(rows), dtype=np.int64),
+        line=line,
+    )
+    _check(path, table)
+    return table
+
+
+def _information(kind: RowKind, flat: Array) -> Array:
+    """Return (N, d, d) matrices, rotation first, from their numbers in the order of the file."""
+    matrix = np.zeros((len(flat), kind.rows, kind.rows))
+    for k, (a, b) in enumerate(kind.information):
+        matrix[:, a, b] = matrix[:, b, a] = flat[:, k]
+    return matrix
+
+
+def _check(path: Path, table: Table) -> None:
+    kind = table.kind
+    if kind.layout == "quaternion":
+        norm = np.linalg.norm(table.numbers[:, 3:], axis=1)
+        if (norm < 1e-150).any():
+            k = int(np.argmax(norm < 1e-150))
+            raise FormatError(
+                path, f"line {table.line[k]}: the quaternion of {kind.tag} is zero; no rotation is 0 0 0 1"
+            )
+    if kind.ids == 2 and (table.ids[:, 0] == table.ids[:, 1]).any():
+        k = int(np.argmax(table.ids[:, 0] == table.ids[:, 1]))
+        raise FormatError(
+            path, f"line {table.line[k]}: {kind.tag} joins {table.ids[k, 0]} with itself; remove the line"
+        )
+    found = first_indefinite(table.information)
+    if found is not None:
+        k, smallest, largest = found
+        raise FormatError(
+            path,
+            f"line {table.line[k]}: the information matrix of {kind.tag} is not positive semi-definite: its smallest "
+            f"eigenvalue is {smallest:.3g}, its largest {largest:.3g}; correct it or remove the line",
+        )
+
+
+def first_indefinite(information: Array) -> tuple[int, float, float] | None:
+    """Return index, smallest and largest eigenvalue of the first of (N, d, d) that is not positive semi-definite."""
+    n, d = information.shape[:2]
+    if not n or not d:
+        return None
+    # An LDL' factorisation of all at once clears nearly every matrix; only what it doubts is worth an eigenvalue.
+    rest = np.array(information)
+    scale = np.einsum("nii->ni", information).max(axis=1)
+    doubtful = np.zeros(n, dtype=bool)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(d):
+            pivot = rest[:, k, k]
+            doubtful |= ~(pivot > _PSD_TOLERANCE * scale)
+            column = rest[:, k + 1 :, k]
+            safe = np.where(pivot > 0.0, pivot, 1.0)
+            rest[:, k + 1 :, k + 1 :] -= column[:, :, None] * (column / safe[:, None])[:, None, :]
+    suspects = np.flatnonzero(doubtful)
+    if not len(suspects):
+        return None
+    values = np.linalg.eigvalsh(information[suspects])
+    wrong = values[:, 0] < -_PSD_TOLERANCE * np.abs(values).max(axis=1)
+    if not wrong.any():
+        return None
+    k = int(np.argmax(wrong))
+    return int(suspects[k]), float(values[k, 0]), float(values[k, -1])

@@ -1,0 +1,407 @@
+"""The Bayes tree with keys, families and factor numbers: what `ISAM2` keeps between updates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from heliograph import _core
+from heliograph.errors import GraphError, UnderconstrainedError
+from heliograph.graph.diagnosis.diagnosis import diagnose
+from heliograph.graph.model.factor import Factor
+from heliograph.graph.model.factor_graph import Added, FactorGraph
+from heliograph.graph.model.families import Family, Value
+from heliograph.graph.model.kernels import Kernel
+from heliograph.graph.model.key_runs import KeyRuns
+from heliograph.graph.model.noise import Whitening
+from heliograph.graph.model.records import as_keys, key_list
+from heliograph.graph.model.values import Values
+
+__all__ = ["TreeState"]
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int32]
+# What tells kinds of factors apart: type, own class, families, form of noise, kernel, rows, shapes of the data.
+KindName: TypeAlias = tuple[
+    int, type[Factor] | None, tuple[Family, ...], int, Kernel | None, int, tuple[tuple[int, ...], ...]
+]
+Point: TypeAlias = Callable[[Ints], Array]  # packed values of variables, one after another
+
+
+@dataclass(slots=True)
+class Own:
+    """A user's own factors of one kind: their variables and data by factor number."""
+
+    factor: type[Factor]
+    families: tuple[Family, ...]
+    scopes: dict[int, Ints] = field(default_factory=dict)
+    data: dict[int, tuple[Array, ...]] = field(default_factory=dict)
+
+
+class _Staged(NamedTuple):
+    """Factors of one kind, checked and ready to be handed over."""
+
+    rows: slice | NDArray[np.int64]  # of all new factors, which these are
+    kind: int
+    scopes: Ints
+    measurement: Array
+    sqrt_information: Array
+    data: tuple[Array, ...]
+
+
+class TreeState:
+    """Names for what the native tree numbers, and checks before anything is handed to it."""
+
+    def __init__(self) -> None:
+        self.native = _core.BayesTree()
+        self._number: dict[int, int] = {}  # of a key's variable
+        self._keys: list[int] = []  # by variable; numbers of variables that left are given again
+        self._families: list[Family] = []
+        self._left = KeyRuns()
+        self._kinds: dict[KindName, int] = {}
+        self._own: dict[int, Own] = {}
+        self._fresh: set[int] = set()  # variables of the update that is under way
+        self._entered: list[tuple[int, int]] = []  # a user's own factors of the update that is under way: kind, number
+        self._leaving: list[int] = []
+        self._switched: dict[int, float] = {}  # weights that the next update brings in
+
+    def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
+        """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
+        graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
+        values = Values() if values is None else values
+        self._register(values)
+        try:
+            staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
+            held = self._held(graph.fixed)
+        except GraphError:
+            self.undo()
+            raise
+        if held is not None:
+            self.native.hold(held)
+        if len(staged) == 1:
+            return self._enter(staged[0])
+        numbers = np.zeros(len(graph), dtype=np.int32)
+        for part in staged:
+            numbers[part.rows] = self._enter(part)
+        return numbers
+
+    def _register(self, values: Values) -> None:
+        keys = values.keys().tolist()
+        known = [key for key in keys if key in self._number]
+        if known:
+            raise GraphError(
+                f"{key_list(np.array(known))}: already in the smoother; give a value once, when a variable is new"
+            )
+        left = [key for key in keys if key in self._left]
+        if left:
+            raise GraphError(f"{key_list(np.array(left))}: marginalised out; a key is not used again, take a new one")
+        at = 0
+        for family, packed in zip(values.families(), values.packed(), strict=True):
+            for number in self.native.add_variables(family.code, family.dof, packed.reshape(-1)).tolist():
+                if number == len(self._keys):
+                    self._keys.append(keys[at])
+                    self._families.append(family)
+                self._keys[number] = keys[at]
+                self._number[keys[at]] = number
+                self._fresh.add(number)
+                at += 1
+
+    def undo(self) -> None:
+        """Drop what the update that is under way has brought: everything is as it was before."""
+        self.native.undo()
+        self._forget()
+
+    def _forget(self) -> None:
+        for number in sorted(self._fresh, reverse=True):
+            del self._number[self._keys[number]]
+            if number >= self.native.slots:
+                del self._keys[number], self._families[number]
+        self._fresh.clear()
+        self._drop([number for _, number in self._entered])
+        self._entered, self._leaving, self._switched = [], [], {}
+
+    def _drop(self, numbers: list[int]) -> None:
+        """Drop the data of a user's own factors; numbers of others are passed over."""
+        if numbers:
+            for own in self._own.values():
+                for number in numbers:
+                    own.scopes.pop(number, None)
+                    own.data.pop(number, None)
+
+    def settle(self) -> None:
+        """Take the update for good: it is in the tree."""
+        self._fresh.clear()
+        self._drop(self._leaving)
+        self._entered, self._leaving, self._switched = [], [], {}
+
+    def marginalize(self, keys: ArrayLike) -> None:
+        """Take variables out of the tree; what their factors said stays as a summary."""
+        numbers = self._numbers(as_keys(keys).reshape(-1), lambda: "to be marginalised out")
+        held = [self._keys[number] for number in numbers.tolist() if self.native.held(number)]
+        if held:
+            raise GraphError(f"{key_list(np.array(held))}: held by `fix`; what is known is not marginalised out")
+        self.native.leave(numbers)
+        self.native.detach()
+        self.evaluate_custom()
+        self.native.reorder()
+        failed = self.native.eliminate()
+        if failed >= 0:
+            raise UnderconstrainedError(
+                f"key {self._keys[failed]}: not determined where it was last linearised; nothing was marginalised out"
+            )
+        summarised = self.native.drop_left().tolist()
+        self._drop(summarised)
+        for number in summarised:
+            self._switched.pop(number, None)
+        for number in numbers.tolist():
+            key = self._keys[number]
+            self._number.pop(key, None)
+            self._left.add(key)
+
+    def pending(self) -> int:
+        """Return how many variables wait to be eliminated, else linearised anew, else branches put off."""
+        return int(self.native.waiting or self.native.fluid or self.native.deferred)
+
+    def _nothing_waiting(self) -> None:
+        if self.native.waiting:
+            raise GraphError(
+                f"{self.native.waiting} variables wait to be eliminated after a bounded update; call `finish` first"
+            )
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._number
+
+    def held(self, key: int) -> bool:
+        """Return whether a variable is held at its value."""
+        return bool(self.native.held(self._number[key]))
+
+    def _held(self, keys: NDArray[np.int64]) -> Ints | None:
+        if not keys.size:
+            return None
+        held = self._numbers(keys, lambda: "held by `fix`")
+        if not self._fresh.issuperset(held.tolist()):
+            raise GraphError(f"{key_list(keys)}: only variables that are new in an update can be held")
+        return held
+
+    def _numbers(self, keys: NDArray[np.int64], what: Callable[[], str]) -> Ints:
+        """Return the numbers of the variables, of the keys' shape; `what` tells a message what names them."""
+        numbers = [self._number.get(key, -1) for key in keys.ravel().tolist()]
+        found = np.array(numbers, dtype=np.int32).reshape(keys.shape)
+        if -1 in numbers:
+            left = keys[np.array([key in self._left for key in keys.ravel().tolist()]).reshape(keys.shape)]
+            if left.size:
+                raise GraphError(f"{key_list(left)}: {what()}, but marginalised out; name only keys that are kept")
+            raise GraphError(f"{key_list(keys[found < 0])}: {what()}, but without a value; insert one with the factor")
+        return found
+
+    def _stage(self, added: Added) -> list[_Staged]:
+        if added.whitening.constrained:
+            raise GraphError(f"{added.name(0)}: a hard constraint; they can be solved for in a batch only")
+        scopes = self._numbers(added.record.keys, lambda: f"in {added.name(0)} and what follows it")
+        combinations: dict[tuple[Family, ...], list[int]] = {}
+        for row, scope in enumerate(scopes.tolist()):
+            combinations.setdefault(tuple([self._families[v] for v in scope]), []).append(row)
+        if len(combinations) == 1:  # the usual case: all of them as they are
+            return [self._part(added, scopes, next(iter(combinations)), None)]
+        return [self._part(added, scopes, families, np.array(rows)) for families, rows in combinations.items()]
+
+    def _part(
+        self, added: Added, scopes: Ints, families: tuple[Family, ...], members: NDArray[np.int64] | None
+    ) -> _Staged:
+        """Return those factors of a record that join variables of such families: some rows, or all."""
+        record, noise = added.record, added.whitening
+        data = record.data if isinstance(record, Factor) else ()
+        kind = self._kind(added, families, 0 if members is None else int(members[0]))
+        if members is None:
+            rows = slice(added.first, added.first + len(record))
+            return _Staged(rows, kind, scopes, record.measurement, noise.sqrt_information, data)
+        return _Staged(
+            added.first + members,
+            kind,
+            np.ascontiguousarray(scopes[members]),
+            np.ascontiguousarray(record.measurement[members]),
+            noise.sqrt_information if noise.shared else np.ascontiguousarray(noise.sqrt_information[members]),
+            tuple([item[members] for item in data]),
+        )
+
+    def _kind(self, added: Added, families: tuple[Family, ...], row: int) -> int:
+        record, noise = added.record, added.whitening
+        fault = record.mismatch(families)
+        if fault is not None:
+            raise GraphError(f"{added.name(row)}: {fault}")
+        own = type(record) if isinstance(record, Factor) else None
+        shapes = tuple([item.shape[1:] for item in record.data]) if isinstance(record, Factor) else ()
+        name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)
+        kind = self._kinds.get(name)
+        if kind is None:
+            kind = self._kinds[name] = self._new_kind(record.type, families, record.rows, noise, record.kernel)
+            if own is not None:
+                self._own[kind] = Own(own, families)
+        return kind
+
+    def _new_kind(
+        self, code: int, families: tuple[Family, ...], rows: int, noise: Whitening, kernel: Kernel | None
+    ) -> int:
+        return self.native.add_kind(
+            code,
+            np.array([family.code for family in families], dtype=np.int32),
+            np.array([family.dof for family in families], dtype=np.int32),
+            rows,
+            noise.form,
+            0 if kernel is None else kernel.code,
+            1.0 if kernel is None else float(kernel.width),
+        )
+
+    def _enter(self, part: _Staged) -> Ints:
+        numbers = self.native.add_factors(
+            part.kind, part.scopes.reshape(-1), part.measurement.reshape(-1), part.sqrt_information.reshape(-1)
+        )
+        own = self._own.get(part.kind)
+        if own is not None:
+            for row, number in enumerate(numbers.tolist()):
+                self._entered.append((part.kind, number))
+                own.scopes[number] = part.scopes[row]
+                own.data[number] = tuple(item[row] for item in part.data)
+        return numbers
+
+    def remove(self, numbers: ArrayLike) -> None:
+        """Take factors out, and bring in what was switched, with the next elimination."""
+        if isinstance(numbers, tuple) and not numbers and not self._switched:
+            return
+        array = np.asarray(numbers, dtype=np.int32).reshape(-1)
+        try:
+            if array.size:
+                self.native.remove_factors(array)
+                self._leaving = array.tolist()
+            kept = {number: weight for number, weight in self._switched.items() if number not in self._leaving}
+            if kept:
+                self.native.weigh_factors(np.array(list(kept), dtype=np.int32), np.array(list(kept.values())))
+        except ValueError as error:
+            self.undo()
+            raise GraphError(f"factors {key_list(array)}: {error}; nothing was changed") from error
+
+    def switch(self, numbers: ArrayLike, on: bool) -> None:
+        """Note what the next update switches on or off."""
+        array = np.asarray(numbers, dtype=np.int32).reshape(-1)
+        if not self.native.has_factors(array):
+            raise GraphError(f"factors {key_list(array)}: not all of them are in the smoother; nothing was switched")
+        self._switched.update(dict.fromkeys(array.tolist(), 1.0 if on else 0.0))
+
+    def evaluate_custom(self) -> None:
+        """Evaluate the user's own factors that the update has to linearise."""
+        try:
+            for kind, own in self._own.items():
+                numbers = self.native.stale_factors(kind)
+                if numbers.size:
+                    self._evaluate(own, numbers, self.native.linearization_point)
+        except GraphError:
+            self.undo()
+            raise
+
+    @staticmethod
+    def _arrays(own: Own, numbers: Ints, point: Point) -> tuple[list[Array], tuple[Array, ...]]:
+        scopes = np.stack([own.scopes[n] for n in numbers.tolist()])
+        arrays = [
+            family.elements(point(np.ascontiguousarray(column)).reshape(-1, family.storage))
+            for family, column in zip(own.families, scopes.T, strict=True)
+        ]
+        data = tuple(np.stack(items) for items in zip(*(own.data[n] for n in numbers.tolist()), strict=True))
+        return arrays, data
+
+    def _evaluate(self, own: Own, numbers: Ints, point: Point) -> None:
+        arrays, data = self._arrays(own, numbers, point)
+        residual, jacobians = own.factor.evaluate(arrays, data, families=own.families)
+        flat = [np.ascontiguousarray(J).reshape(-1) for J in jacobians]
+        self.native.set_custom(numbers, np.ascontiguousarray(residual).reshape(-1), flat)
+
+    def cost(self) -> float:
+        """Return the cost of all factors at the estimate."""
+        self.native.finish_steps()
+        for own in self._own.values():
+            numbers = np.array(sorted(own.scopes), dtype=np.int32)
+            if numbers.size:
+                self._evaluate(own, numbers, self.native.estimate)
+        return float(self.native.cost()[1])
+
+    def refused(self, variable: int, graph: FactorGraph | None, values: Values | None) -> str:
+        """Return why an update was refused, and drop its variables; the tree has undone the rest."""
+        key = self._keys[variable]
+        text = f"the update would leave key {key} undetermined; it was not made, and the smoother stays as it was"
+        if values is not None and variable in self._fresh:
+            text = self._free(FactorGraph() if graph is None else graph, values) or text
+        self._forget()
+        return text
+
+    def _free(self, graph: FactorGraph, values: Values) -> str | None:
+        """Return what is free of the new variables if all old ones are taken as known."""
+        local, start = graph.copy(), values.copy()
+        keys = np.unique(np.concatenate([values.keys(), *(added.record.keys.reshape(-1) for added in graph.groups())]))
+        old = np.array([key for key in keys.tolist() if self._number[key] not in self._fresh], dtype=np.int64)
+        for key in old.tolist():
+            start.insert(key, self.at(key))
+        local.fix(old)
+        found = diagnose(local, start)
+        return None if found.ok else f"{found.message}; the update was not made, and the smoother stays as it was"
+
+    def covariance(self, keys: ArrayLike) -> Array:
+        """Return the covariance of one variable (d, d), or of several of one size (N, d, d)."""
+        self._nothing_waiting()
+        array = as_keys(keys)
+        numbers = self._numbers(array.reshape(-1), lambda: "asked for")
+        if not numbers.size:
+            return np.zeros((0, 0, 0))
+        dofs = {self._families[v].dof for v in numbers.tolist()}
+        if len(dofs) > 1:
+            raise GraphError(
+                f"{key_list(array)}: variables of {min(dofs)} and of {max(dofs)} degrees of freedom; "
+                "ask for one size at a time"
+            )
+        d = dofs.pop()
+        out = self.native.covariance(numbers).reshape(-1, d, d)
+        out = 0.5 * (out + np.swapaxes(out, 1, 2))
+        return np.asarray(out[0] if array.ndim == 0 else out)
+
+    def joint(self, keys: ArrayLike) -> Array:
+        """Return the joint covariance (D, D) of several variables, in the order of the keys."""
+        self._nothing_waiting()
+        numbers = self._numbers(as_keys(keys).reshape(-1), lambda: "asked for")
+        out = self.native.joint_covariance(numbers)
+        size = int(np.sqrt(out.size))
+        out = out.reshape(size, size)
+        return np.asarray(0.5 * (out + out.T))
+
+    def own_factors(self) -> tuple[type[Factor], ...]:
+        """Return the classes of the user's own factors, each once."""
+        return tuple(dict.fromkeys(own.factor for own in self._own.values()))
+
+    def key_of(self, numbers: Ints) -> NDArray[np.int64]:
+        """Return the keys of the native side's variables."""
+        return np.array([self._keys[v] for v in numbers.tolist()], dtype=np.int64)
+
+    def at(self, keys: ArrayLike) -> Value:
+        """Return the estimate of keys of one family: a lie value or an array."""
+        array = as_keys(keys)
+        numbers = self._numbers(array.reshape(-1), lambda: "asked for")
+        family = self._families[numbers[0]]
+        if any(self._families[v] is not family and self._families[v] != family for v in numbers.tolist()):
+            raise GraphError(f"{key_list(array)}: of several families; ask for one at a time")
+        elements = family.elements(self.native.estimate(numbers).reshape(-1, family.storage))
+        return family.wrap(elements[0] if array.ndim == 0 else elements)
+
+    def values(self) -> Values:
+        """Return the estimate of every variable."""
+        values = Values()
+        if not self._number:
+            return values
+        order: dict[Family, list[int]] = {}
+        for number in self._number.values():
+            order.setdefault(self._families[number], []).append(number)
+        keys = np.array(self._keys, dtype=np.int64)
+        for family, members in order.items():
+            numbers = np.array(members, dtype=np.int32)
+            values.insert(keys[numbers], family.unpack(self.native.estimate(numbers).reshape(-1, family.storage)))
+        return values

@@ -1,0 +1,346 @@
+"""Built-in factors. Each record holds N of them and is evaluated natively, with exact Jacobians by right perturbation.
+
+Keys are one int or (N,) ints a variable; measurements are one for all or one each; so is the noise.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from heliograph.errors import GraphError
+from heliograph.graph.model.families import FAMILIES, Family, Value, vectors
+from heliograph.graph.model.kernels import Kernel
+from heliograph.graph.model.noise import Noise
+from heliograph.graph.model.records import NativeRecord, as_measurement, key_columns
+from heliograph.lie import S2, SE2, SE3, SO2, ExtendedPose
+
+__all__ = ["Bearing", "Between", "Landmark", "LinearMotion", "Position", "Prior", "Range"]
+
+Array = NDArray[np.float64]
+
+# What has a frame to look from, and what has a place to be seen at, by the dimension of the space.
+_POSES = {2: (FAMILIES[SE2],), 3: (FAMILIES[SE3], FAMILIES[ExtendedPose])}
+_PLACED = {2: (vectors(2), *_POSES[2]), 3: (vectors(3), *_POSES[3])}
+
+
+class Prior(NativeRecord):
+    """A variable is measured: ``Log(Z^-1 X)``, for directions ``Z.local(X)``, for vectors ``x - z``.
+
+    Parameters
+    ----------
+    key : int or (N,) int
+        Of the variable.
+    value : lie value or (d,) or (N, d) float64
+        Measured; its family is the variable's.
+    noise : Noise
+        Of the residual, as many rows as the family has degrees of freedom.
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Keys that are no integers, or different numbers of keys and measurements.
+    """
+
+    __slots__ = ()
+    type: ClassVar[int] = 1
+
+    def __init__(self, key: ArrayLike, value: Value, noise: Noise, *, kernel: Kernel | None = None) -> None:
+        keys = key_columns("Prior", (key,))
+        measurement, family = as_measurement("Prior", value, len(keys))
+        self._fill(
+            keys=keys,
+            measurement=measurement,
+            measured=family,
+            rows=family.dof,
+            noise=noise,
+            kernel=kernel,
+            allowed=((family,),),
+        )
+
+
+class Between(NativeRecord):
+    """The motion from one variable to another is measured: ``Log(Z^-1 Xi^-1 Xj)``, for vectors ``xj - xi - z``.
+
+    Parameters
+    ----------
+    i, j : int or (N,) int
+        Keys of the two variables.
+    T_i_j : SE2, SE3, SO2, SO3, ExtendedPose or (d,) or (N, d) float64
+        Measured; its family is that of both variables.
+    noise : Noise
+        Of the residual, as many rows as the family has degrees of freedom, rotation first.
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Keys that are no integers, different numbers of keys and measurements, or a family without differences.
+    """
+
+    __slots__ = ()
+    type: ClassVar[int] = 2
+
+    def __init__(self, i: ArrayLike, j: ArrayLike, T_i_j: Value, noise: Noise, *, kernel: Kernel | None = None) -> None:
+        keys = key_columns("Between", (i, j))
+        measurement, family = as_measurement("Between", T_i_j, len(keys))
+        if family.lie is S2:
+            raise GraphError("Between: directions have no difference that is a direction; write a Factor of your own")
+        self._fill(
+            keys=keys,
+            measurement=measurement,
+            measured=family,
+            rows=family.dof,
+            noise=noise,
+            kernel=kernel,
+            allowed=((family,), (family,)),
+        )
+
+
+class Range(NativeRecord):
+    """The distance between two positions is measured: ``|p_j - p_i| - z``.
+
+    Parameters
+    ----------
+    i, j : int or (N,) int
+        Keys of poses or points, both in the plane or both in space.
+    distance : float or (N,) float64
+        Measured, not negative [m].
+    noise : Noise
+        Of one row.
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Keys that are no integers, or different numbers of keys and distances.
+    """
+
+    __slots__ = ()
+    type: ClassVar[int] = 3
+
+    def __init__(
+        self, i: ArrayLike, j: ArrayLike, distance: ArrayLike, noise: Noise, *, kernel: Kernel | None = None
+    ) -> None:
+        keys = key_columns("Range", (i, j))
+        z = np.asarray(distance, dtype=np.float64)
+        if z.ndim > 1:
+            raise GraphError(f"Range: distances are one number or (N,), got shape {z.shape}")
+        measurement, _ = as_measurement("Range", z.reshape(-1, 1), len(keys))
+        placed = (*_PLACED[2], *_PLACED[3])
+        self._fill(
+            keys=keys,
+            measurement=measurement,
+            measured=None,
+            rows=1,
+            noise=noise,
+            kernel=kernel,
+            allowed=(placed, placed),
+        )
+
+    def flaws(self) -> NDArray[np.bool_]:
+        """Return which distances (N,) are not finite or negative."""
+        return ~((self.measurement[:, 0] >= 0.0) & np.isfinite(self.measurement[:, 0]))
+
+    def mismatch(self, families: tuple[Family, ...]) -> str | None:
+        """Return what is wrong with variables of these families, or None."""
+        first, second = families
+        if first.space != second.space and first.space and second.space:
+            return f"Range needs two positions in the same space, but its variables are {first.name}, {second.name}"
+        return super().mismatch(families)
+
+
+class Bearing(NativeRecord):
+    """The direction from a pose to a position is measured: ``Z.local(direction to j in the frame of i)``.
+
+    Parameters
+    ----------
+    i : int or (N,) int
+        Keys of the poses that look.
+    j : int or (N,) int
+        Keys of the points or poses that are seen.
+    direction : SO2 or S2
+        Measured in the frame of i: an SO2 for poses SE2, an S2 for poses SE3 and ExtendedPose.
+    noise : Noise
+        Of one row [rad] in the plane, of two in space (the tangent basis of `heliograph.lie.s2` at the measurement).
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Keys that are no integers, different numbers of keys and directions, or no direction.
+    """
+
+    __slots__ = ()
+    type: ClassVar[int] = 4
+
+    def __init__(
+        self, i: ArrayLike, j: ArrayLike, direction: Value, noise: Noise, *, kernel: Kernel | None = None
+    ) -> None:
+        keys = key_columns("Bearing", (i, j))
+        if not isinstance(direction, (SO2, S2)):
+            raise GraphError(
+                f"Bearing: a direction is an SO2 (poses SE2) or an S2 (poses SE3), not a {type(direction).__name__}"
+            )
+        measurement, family = as_measurement("Bearing", direction, len(keys))
+        space = 2 if family.lie is SO2 else 3
+        self._fill(
+            keys=keys,
+            measurement=measurement,
+            measured=family,
+            rows=family.dof,
+            noise=noise,
+            kernel=kernel,
+            allowed=(_POSES[space], _PLACED[space]),
+        )
+
+
+class Landmark(NativeRecord):
+    """A point is measured in the frame of a pose: ``Ti^-1 p_j - z``.
+
+    Parameters
+    ----------
+    i : int or (N,) int
+        Keys of the poses: SE2, or SE3 and ExtendedPose.
+    j : int or (N,) int
+        Keys of the points: vectors of dimension 2 or 3, or poses, whose position is meant.
+    p_i : (d,) or (N, d) float64
+        Measured in the frame of i [m].
+    noise : Noise
+        Of d rows, in the frame of i.
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Keys that are no integers, different numbers of keys and points, or a dimension that is neither 2 nor 3.
+    """
+
+    __slots__ = ()
+    type: ClassVar[int] = 5
+
+    def __init__(
+        self, i: ArrayLike, j: ArrayLike, p_i: ArrayLike, noise: Noise, *, kernel: Kernel | None = None
+    ) -> None:
+        keys = key_columns("Landmark", (i, j))
+        measurement, dimension = _points("Landmark", p_i, len(keys))
+        self._fill(
+            keys=keys,
+            measurement=measurement,
+            measured=None,
+            rows=dimension,
+            noise=noise,
+            kernel=kernel,
+            allowed=(_POSES[dimension], _PLACED[dimension]),
+        )
+
+
+class Position(NativeRecord):
+    """The position of a variable is measured in the world: ``p - z``.
+
+    Parameters
+    ----------
+    key : int or (N,) int
+        Of poses (SE2, SE3, ExtendedPose) or points.
+    p_world : (d,) or (N, d) float64
+        Measured [m], d is 2 or 3.
+    noise : Noise
+        Of d rows, along the world's axes.
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Keys that are no integers, different numbers of keys and points, or a dimension that is neither 2 nor 3.
+    """
+
+    __slots__ = ()
+    type: ClassVar[int] = 6
+
+    def __init__(self, key: ArrayLike, p_world: ArrayLike, noise: Noise, *, kernel: Kernel | None = None) -> None:
+        keys = key_columns("Position", (key,))
+        measurement, dimension = _points("Position", p_world, len(keys))
+        self._fill(
+            keys=keys,
+            measurement=measurement,
+            measured=None,
+            rows=dimension,
+            noise=noise,
+            kernel=kernel,
+            allowed=(_PLACED[dimension],),
+        )
+
+
+def _points(kind: str, points: ArrayLike, count: int) -> tuple[Array, int]:
+    if not isinstance(points, (np.ndarray, list, tuple)):
+        raise GraphError(f"{kind}: points are an array (d,) or (N, d), not a {type(points).__name__}")
+    measurement, family = as_measurement(kind, points, count)
+    if family.dof not in (2, 3):
+        raise GraphError(f"{kind}: points have 2 or 3 coordinates, got {family.dof}")
+    return measurement, family.dof
+
+
+class LinearMotion(NativeRecord):
+    """One vector follows linearly from another: ``x_j - F x_i - u``.
+
+    Parameters
+    ----------
+    i, j : int or (N,) int
+        Keys of the vectors before (dimension d_i) and after (d_j).
+    F : (d_j, d_i) or (N, d_j, d_i) float64
+        Transition matrix.
+    u : (d_j,) or (N, d_j) float64
+        What is added.
+    noise : Noise
+        Of d_j rows.
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Keys that are no integers, or shapes that do not fit together.
+    """
+
+    __slots__ = ()
+    type: ClassVar[int] = 7
+
+    def __init__(
+        self, i: ArrayLike, j: ArrayLike, F: ArrayLike, u: ArrayLike, noise: Noise, *, kernel: Kernel | None = None
+    ) -> None:
+        keys = key_columns("LinearMotion", (i, j))
+        transition, offset = np.asarray(F, dtype=np.float64), np.asarray(u, dtype=np.float64)
+        if transition.ndim not in (2, 3) or offset.shape[-1:] != transition.shape[-2:-1]:
+            raise GraphError(
+                f"LinearMotion: F is (d_j, d_i) or (N, d_j, d_i) and u (d_j,) or (N, d_j), got shapes "
+                f"{transition.shape} and {offset.shape}"
+            )
+        after, before = transition.shape[-2:]
+        families = vectors(before), vectors(after)
+        count = len(keys)
+        try:
+            flat_F = np.broadcast_to(transition.reshape(-1, after * before), (count, after * before))
+            flat_u = np.broadcast_to(offset.reshape(-1, after), (count, after))
+        except ValueError:
+            raise GraphError(
+                f"LinearMotion: F of shape {transition.shape} and u of shape {offset.shape} for {count} factors"
+            ) from None
+        self._fill(
+            keys=keys,
+            # What is broadcast joins column by column; the native side reads rows.
+            measurement=np.ascontiguousarray(np.concatenate([flat_F, flat_u], axis=1)),
+            measured=None,
+            rows=after,
+            noise=noise,
+            kernel=kernel,
+            allowed=((families[0],), (families[1],)),
+        )

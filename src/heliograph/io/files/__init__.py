@@ -1,0 +1,1 @@
+"""Files and folders of files: clouds, tables, trajectories, KITTI."""

@@ -1,0 +1,328 @@
+"""What a recording holds and means, concluded from its first messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from heliograph.config import InputConfig
+from heliograph.data import Event
+from heliograph.errors import DataError, TopicError, closest
+from heliograph.io.inference.imu_units import ImuUnits, infer_imu_units
+from heliograph.io.inference.mounting import FrameTree, Mounting, find_mounting
+from heliograph.io.inference.record import Inference, inferred
+from heliograph.io.inference.scans import PointTiming
+from heliograph.io.inference.timing import infer_timing
+from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, RawTransform, TopicInfo
+
+__all__ = ["Interpretation", "interpret"]
+
+CLOUDS, SAMPLES, FEW_SAMPLES = 12, 400, 20
+USUAL_PROBE_NS = 3_000_000_000
+LONGEST_PROBE_NS = 20_000_000_000
+DEFAULT_IMU_PERIOD_NS = 5_000_000
+FURTHEST_CLOCKS_NS = 1_000_000_000
+Note = Inference | Event
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interpretation:
+    """The chosen topics, how to convert their messages, and why.
+
+    Parameters
+    ----------
+    lidar, imu, gnss : str or None
+        Chosen topics.
+    timing : PointTiming
+        For `scans.to_scan`.
+    units : ImuUnits
+        Factors to SI.
+    mounting : Mounting
+        LiDAR on IMU.
+    frames : FrameTree
+        All frames.
+    lidar_frame, imu_frame, gnss_frame : str
+        As the messages name them.
+    imu_stamp : str
+        ``"header"``, or ``"received"`` where the samples carry no usable stamp.
+    imu_period_ns : int
+        From sample to sample [ns].
+    has_orientation : bool
+        The IMU messages carry an orientation (no estimator uses it).
+    start_ns : int
+        When the first message was received [ns].
+    points_per_scan : int
+        Of the first scans, as stored.
+    fields : tuple of str
+        Of the cloud.
+    inferences, events : tuple
+        Conclusions and warnings.
+    """
+
+    lidar: str | None
+    imu: str | None
+    gnss: str | None
+    timing: PointTiming
+    units: ImuUnits | None
+    mounting: Mounting
+    frames: FrameTree
+    lidar_frame: str
+    imu_frame: str
+    gnss_frame: str
+    imu_stamp: str
+    imu_period_ns: int
+    has_orientation: bool
+    start_ns: int
+    points_per_scan: int
+    fields: tuple[str, ...]
+    inferences: tuple[Inference, ...]
+    events: tuple[Event, ...]
+
+
+@dataclass(slots=True)
+class _Probe:
+    """The first messages of every topic that may matter."""
+
+    clouds: dict[str, list[RawCloud]] = field(default_factory=dict)
+    samples: dict[str, list[RawImu]] = field(default_factory=dict)
+    fixes: dict[str, list[RawFix]] = field(default_factory=dict)
+    transforms: list[RawTransform] = field(default_factory=list)
+    start_ns: int | None = None
+
+    def add(self, message: RawMessage) -> None:
+        if isinstance(message, RawTransform):
+            self.transforms.append(message)
+            return
+        self.start_ns = message.received_ns if self.start_ns is None else min(self.start_ns, message.received_ns)
+        if isinstance(message, RawCloud):
+            found = self.clouds.setdefault(message.topic, [])
+            if len(found) < CLOUDS:
+                found.append(message)
+        elif isinstance(message, RawImu):
+            samples = self.samples.setdefault(message.topic, [])
+            if len(samples) < SAMPLES:
+                samples.append(message)
+        else:
+            self.fixes.setdefault(message.topic, []).append(message)
+
+
+def interpret(source: RawSource, config: InputConfig, sensors: str = "auto") -> Interpretation:
+    """Choose topics and infer what their messages mean.
+
+    Parameters
+    ----------
+    source : RawSource
+        The opened recording.
+    config : InputConfig
+        Overrides.
+    sensors : str
+        ``"auto"`` or a comma-separated choice of ``lidar`` and ``imu``.
+
+    Raises
+    ------
+    TopicError
+        A topic given by name does not exist.
+    DataError
+        The recording lacks a sensor that was asked for, or its messages cannot be used.
+    """
+    wants_lidar, wants_imu = (sensors == "auto" or name in sensors.split(",") for name in ("lidar", "imu"))
+    lidars = _candidates(source.topics, "lidar", config.lidar_topic if wants_lidar else "", wants_lidar)
+    imus = _candidates(source.topics, "imu", config.imu_topic if wants_imu else "", wants_imu)
+    _require(source, lidars, imus, sensors)
+    probe = _probe(source, lidars, imus)
+    lidar, lidar_why = _choose_lidar(lidars, probe, config.lidar_topic)
+    imu, imu_why = _choose_imu(imus, probe, config.imu_topic)
+    gnss = max(probe.fixes, key=lambda name: len(probe.fixes[name]), default=None)
+    clouds, samples = probe.clouds.get(lidar or "", []), probe.samples.get(imu or "", [])
+    _require_messages(source, lidar, imu, clouds, samples, sensors)
+    timing, lidar_notes = _read_lidar(clouds, config)
+    units, imu_period_ns, imu_stamp, imu_notes = _read_imu(samples, config)
+    notes = [*lidar_why, *imu_why, *lidar_notes, *imu_notes]
+    if timing.stamp == imu_stamp == "header":
+        notes += _clock_mismatch(clouds, samples)
+    frames = FrameTree(probe.transforms)
+    mounting = find_mounting(clouds, samples, frames, source.factory_T_imu_lidar(), config.extrinsic)
+    return Interpretation(
+        lidar=lidar if clouds else None,
+        imu=imu if samples else None,
+        gnss=gnss,
+        timing=timing,
+        units=units,
+        mounting=mounting,
+        frames=frames,
+        lidar_frame=clouds[0].frame_id.lstrip("/") if clouds else "",
+        imu_frame=samples[0].frame_id.lstrip("/") if samples else "",
+        gnss_frame=probe.fixes[gnss][0].frame_id.lstrip("/") if gnss else "",
+        imu_stamp=imu_stamp,
+        imu_period_ns=imu_period_ns,
+        has_orientation=any(sample.has_orientation for sample in samples),
+        start_ns=probe.start_ns or 0,
+        points_per_scan=int(np.median([c.columns["x"].size for c in clouds if "x" in c.columns] or [0])),
+        fields=tuple(clouds[0].columns) if clouds else (),
+        inferences=(*(note for note in notes if isinstance(note, Inference)), *mounting.inferences),
+        events=(*(note for note in notes if isinstance(note, Event)), *mounting.events),
+    )
+
+
+def _candidates(topics: Sequence[TopicInfo], kind: str, wanted: str, used: bool) -> list[TopicInfo]:
+    """Return the topics of a kind, or the one the user named."""
+    if not used:
+        return []
+    found = [topic for topic in topics if topic.kind == kind]
+    if kind == "lidar" and not any(topic.count for topic in found):
+        found = [topic for topic in topics if topic.kind == "lidar-packets"] or found
+    if not wanted:
+        return [topic for topic in found if topic.count > 0] or found
+    packets = [topic for topic in topics if topic.kind == "lidar-packets"] if kind == "lidar" else []
+    valid = {topic.name: topic for topic in [*found, *packets]}
+    if wanted not in valid:
+        names = ", ".join(sorted(valid)) or "none"
+        raise TopicError(
+            f"--{kind}-topic {wanted}: no such {kind} topic; the valid ones: {names}{closest(wanted, valid)}"
+        )
+    return [valid[wanted]]
+
+
+def _require(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo], sensors: str) -> None:
+    listing = ", ".join(f"{t.name} ({t.message_type})" for t in source.topics) or "none at all"
+    if not lidars and sensors != "imu":
+        remedy = "use --sensors imu to dead-reckon" if imus else "record a sensor_msgs/PointCloud2 or a Livox CustomMsg"
+        raise DataError(f"{source.description}: no LiDAR topic among {listing}; {remedy}")
+    if not imus and sensors != "auto" and "imu" in sensors:
+        remedy = "use --sensors lidar" if sensors != "imu" else "record a sensor_msgs/Imu"
+        raise DataError(f"{source.description}: no IMU topic among {listing}; {remedy}")
+
+
+def _require_messages(
+    source: RawSource, lidar: str | None, imu: str | None, clouds: list[RawCloud], samples: list[RawImu], sensors: str
+) -> None:
+    if lidar and not clouds:
+        why = next((event.message for event in source.events if event.code == "bad-message"), "the topic is empty")
+        raise DataError(f"{source.description}: {lidar} holds no usable scan ({why})")
+    if imu and not samples and sensors != "auto" and "imu" in sensors:
+        raise DataError(f"{source.description}: {imu} holds no usable sample")
+
+
+def _probe(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo]) -> _Probe:
+    """Read the first messages; static transforms are read wherever they are, a recorder may be started late."""
+    probe = _Probe()
+    static = frozenset(t.name for t in source.topics if t.kind == "tf" and "static" in t.name)
+    for message in source.messages(static) if static else ():
+        probe.add(message)
+    names = {t.name for t in [*lidars, *imus]} | {t.name for t in source.topics if t.kind in ("tf", "gnss")} - static
+    for message in source.messages(frozenset(names)):
+        probe.add(message)
+        if _enough(probe, lidars, imus, message.received_ns):
+            break
+    return probe
+
+
+def _enough(probe: _Probe, lidars: list[TopicInfo], imus: list[TopicInfo], now_ns: int) -> bool:
+    if probe.start_ns is not None and now_ns - probe.start_ns > LONGEST_PROBE_NS:
+        return True
+    elapsed = now_ns - (probe.start_ns or now_ns)
+    clouds = all(
+        len(probe.clouds.get(t.name, ())) >= (CLOUDS if t.kind == "lidar-packets" else min(CLOUDS, t.count))
+        for t in lidars
+    )
+    # A slow IMU would otherwise have its whole recording read: after three seconds a few samples do.
+    wanted = SAMPLES if elapsed < USUAL_PROBE_NS else FEW_SAMPLES
+    return clouds and all(len(probe.samples.get(t.name, ())) >= min(wanted, t.count) for t in imus)
+
+
+def _choose_lidar(lidars: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str | None, list[Note]]:
+    """Take the topic with the most points."""
+    if not lidars:
+        return None, []
+    if wanted:
+        return wanted, [inferred("lidar topic", wanted, "--lidar-topic", source="override")]
+    points = {t.name: t.count * _cloud_size(probe.clouds.get(t.name, [])) for t in lidars}
+    best = max(sorted(points), key=lambda name: points[name])
+    if len(lidars) == 1:
+        return best, [
+            inferred("lidar topic", best, f"the only one, {lidars[0].count} messages of {lidars[0].message_type}")
+        ]
+    listing = ", ".join(f"{name} (about {points[name]:.3g} points)" for name in sorted(points))
+    message = (
+        f"{len(lidars)} LiDAR topics: {listing}; {best} is used, it has the most points; choose with --lidar-topic"
+    )
+    return best, [
+        inferred("lidar topic", best, f"most points of {listing}"),
+        Event(code="lidar-topics", message=message),
+    ]
+
+
+def _cloud_size(clouds: list[RawCloud]) -> float:
+    return float(np.median([c.columns["x"].size if "x" in c.columns else 0 for c in clouds])) if clouds else 0.0
+
+
+def _choose_imu(imus: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str | None, list[Note]]:
+    """Take the topic with the most samples."""
+    if not imus:
+        return None, []
+    if wanted:
+        return wanted, [inferred("imu topic", wanted, "--imu-topic", source="override")]
+    counts = {t.name: t.count if probe.samples.get(t.name) else 0 for t in imus}
+    best = max(sorted(counts), key=lambda name: counts[name])
+    if len(imus) == 1:
+        return best, [inferred("imu topic", best, f"the only one, {imus[0].count} messages")]
+    listing = ", ".join(f"{name} ({counts[name]} samples)" for name in sorted(counts))
+    message = f"{len(imus)} IMU topics: {listing}; {best} is used, it has the most samples; choose with --imu-topic"
+    return best, [inferred("imu topic", best, f"most samples of {listing}"), Event(code="imu-topics", message=message)]
+
+
+def _read_lidar(clouds: Sequence[RawCloud], config: InputConfig) -> tuple[PointTiming, list[Note]]:
+    if not clouds:
+        return PointTiming(), []
+    result = infer_timing(clouds, config)
+    return result.timing, [*result.inferences, *result.events]
+
+
+def _read_imu(samples: Sequence[RawImu], config: InputConfig) -> tuple[ImuUnits | None, int, str, list[Note]]:
+    """Return units, period [ns], the stamp to use, and what led to them."""
+    if not samples:
+        return None, DEFAULT_IMU_PERIOD_NS, "header", []
+    units = infer_imu_units(samples, config)
+    period_ns, stamp, notes = _imu_period(samples)
+    return units, period_ns, stamp, [*notes, *units.inferences, *units.events]
+
+
+def _imu_period(samples: Sequence[RawImu]) -> tuple[int, str, list[Note]]:
+    """Return the period [ns], the stamp to use, and what led to them."""
+    topic, stamp = samples[0].topic, "header"
+    notes: list[Note] = []
+    steps = np.diff(np.array([s.stamp_ns for s in samples], dtype=np.int64))
+    backwards = int(np.count_nonzero(steps < 0))
+    if len(steps) >= 3 and backwards > len(steps) // 2:
+        raise DataError(
+            f"{topic}: IMU stamps run backwards ({backwards} of the first {len(steps)} steps); re-record or sort "
+            "the messages by stamp"
+        )
+    if len(steps) >= 3 and not steps.any():
+        stamp = "received"
+        steps = np.diff(np.array([s.received_ns for s in samples], dtype=np.int64))
+        message = f"{topic}: IMU stamps do not advance; times of reception are used, which jitter"
+        notes.append(Event(code="no-stamps", message=message))
+    steps = steps[steps > 0]
+    if not len(steps):
+        return DEFAULT_IMU_PERIOD_NS, stamp, [*notes, inferred("imu rate", "unknown", "one sample", source="default")]
+    period = int(np.median(steps))
+    evidence = f"median of {len(steps)} steps between stamps, {steps.min() / 1e6:.3f} to {steps.max() / 1e6:.3f} ms"
+    return period, stamp, [*notes, inferred("imu rate", f"{1e9 / period:.4g} Hz", evidence)]
+
+
+def _clock_mismatch(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> list[Note]:
+    """Warn where LiDAR and IMU stamp in clocks that differ: what arrives together is stamped apart."""
+    if not clouds or not samples:
+        return []
+    lidar, imu = (float(np.median([m.received_ns - m.stamp_ns for m in messages])) for messages in (clouds, samples))
+    if abs(lidar - imu) < FURTHEST_CLOCKS_NS:
+        return []
+    message = (
+        f"LiDAR stamps are {(imu - lidar) / 1e9:+.3f} s off IMU stamps of messages that arrive together: the "
+        "sensors' clocks "
+        "differ; synchronise them (PTP, or the driver's option to stamp with the computer's time) and record again"
+    )
+    return [Event(code="clock-mismatch", message=message)]

@@ -1,0 +1,1 @@
+"""Sensors' own packets, from captures and from bags, to points."""

@@ -1,0 +1,1 @@
+"""The tightly coupled iterated error-state Kalman filter on raw points."""

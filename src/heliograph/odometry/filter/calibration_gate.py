@@ -1,0 +1,148 @@
+"""Mounting and clock as states that only excited motion may move.
+
+A state that the motion does not tell is moved all the same by what the model leaves out, and ends far away with a small
+sigma. Here a second covariance, that of the filter if it believed everything, says what the scans have told about each
+direction. Until that is enough the direction is considered: its uncertainty counts, its value stays (S. Schmidt, 1966).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.config import FilterConfig
+from heliograph.data import ImuBatch, NavState, OnlineCalibration, Rig
+from heliograph.odometry.filter.error_state import CLOCK, DRIFT, MOUNTING
+from heliograph.odometry.filter.motion import MotionModel
+from heliograph.odometry.filter.update import Linearization, embedded
+
+__all__ = ["CALIBRATION", "CalibrationGate", "uncertain_rig", "with_calibration"]
+
+Array = NDArray[np.float64]
+
+CALIBRATION = slice(MOUNTING.start, DRIFT + 1)
+"""The errors that are gated: rotation about lidar axes, lever arm along imu axes, clock offset, clock drift."""
+_SEEN = slice(MOUNTING.start, CLOCK + 1)  # what scans measure; the drift only changes one of them with time
+
+
+def uncertain_rig(rig: Rig, config: FilterConfig) -> Rig:
+    """Return the mounting that the start is told: one to be estimated is no more than a good guess."""
+    if not (rig.known and config.estimate_mounting):
+        return rig
+    return replace(
+        rig,
+        known=False,
+        sigma_rotation=config.mounting_rotation_sigma,
+        sigma_translation=config.mounting_lever_sigma,
+    )
+
+
+def with_calibration(state: NavState, config: FilterConfig) -> NavState:
+    """Return a start with the errors of mounting and clock; one that is not estimated is known exactly."""
+    if not (config.estimate_mounting or config.estimate_time_offset):
+        return state
+    covariance, size = np.zeros((DRIFT + 1, DRIFT + 1)), len(state.covariance)
+    covariance[:size, :size] = state.covariance
+    if config.estimate_time_offset:
+        covariance[CLOCK, CLOCK] = config.time_offset_sigma**2
+        covariance[DRIFT, DRIFT] = (1e-6 * config.time_drift_sigma_ppm) ** 2
+    return replace(state, covariance=covariance)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationGate:
+    """What the motion has told so far.
+
+    Parameters
+    ----------
+    covariance : (25, 25) float64
+        Of a filter that lets every direction move.
+    prior_sigma : (8,) float64
+        Of mounting and clock at the start; 0 for what is not estimated.
+    gain : float
+        A direction opens when it is known so many times better than its prior.
+    """
+
+    covariance: Array
+    prior_sigma: Array
+    gain: float
+
+    @classmethod
+    def at_start(cls, state: NavState, config: FilterConfig) -> CalibrationGate | None:
+        """Return the gate of a start, None where it has no calibration to gate."""
+        if len(state.covariance) <= CLOCK:
+            return None
+        sigma = np.sqrt(np.diag(state.covariance)[CALIBRATION])
+        return cls(covariance=state.covariance, prior_sigma=sigma, gain=config.calibration_gain)
+
+    def predicted(self, motion: MotionModel, state: NavState, imu: ImuBatch, end_ns: int) -> CalibrationGate:
+        """Return the gate after the motion to ``end_ns``."""
+        moved, _ = motion.predict(replace(state, covariance=self.covariance), imu, end_ns)
+        return replace(self, covariance=moved.covariance)
+
+    def updated(self, measurement: Linearization) -> CalibrationGate:
+        """Return the gate after a scan."""
+        A, _ = embedded(measurement, len(self.covariance))
+        covariance = np.linalg.solve(np.eye(len(A)) + self.covariance @ A, self.covariance)
+        return replace(self, covariance=0.5 * (covariance + covariance.T))
+
+    def moved(self, M: Array) -> CalibrationGate:
+        """Return the gate after a change of frame with the derivative ``M`` (25, 25)."""
+        return replace(self, covariance=M @ self.covariance @ M.T)
+
+    def directions(self) -> tuple[Array, Array]:
+        """Return how much is known of each direction, and the directions.
+
+        Returns
+        -------
+        gains : (M,) float64
+            Prior sigma by the sigma that the scans would leave, ascending; at least 1.
+        directions : (8, M) float64
+            Columns in units of the prior sigmas, orthonormal; M counts what is estimated.
+
+        Notes
+        -----
+        Eq. (14) of docs/theory/filter.md. The drift has a direction of its own: mixed with the offset that it carries
+        away, a drift not told yet would hold back an offset that is.
+        """
+        seen = np.flatnonzero(self.prior_sigma[:-1] > 0.0)
+        scale = self.prior_sigma[seen]
+        block = self.covariance[_SEEN, _SEEN][np.ix_(seen, seen)] / np.outer(scale, scale)
+        # The marginal covariance of this block has what pose, velocity, biases and drift leave open in it already.
+        values, vectors = np.linalg.eigh(np.linalg.inv(block))
+        directions = np.zeros((len(self.prior_sigma), len(scale)))
+        directions[seen] = vectors
+        if self.prior_sigma[-1] > 0.0:
+            values = np.append(values, self.prior_sigma[-1] ** 2 / self.covariance[DRIFT, DRIFT])
+            directions = np.column_stack([directions, np.eye(len(self.prior_sigma))[-1]])
+        order = np.argsort(values, kind="stable")
+        return np.sqrt(np.maximum(values[order], 1.0)), directions[:, order]
+
+    def account(self, state: NavState) -> OnlineCalibration:
+        """Return what a state says of mounting and clock."""
+        gains, directions = self.directions()
+        # The filter's rotation error is about lidar axes; what people read is about imu axes, where motion is excited.
+        turn = np.eye(len(self.prior_sigma))
+        turn[:3, :3] = state.T_imu_lidar[:3, :3]
+        covariance = turn @ state.covariance[CALIBRATION, CALIBRATION] @ turn.T
+        return OnlineCalibration(
+            T_imu_lidar=state.T_imu_lidar,
+            stamp_ns=state.stamp_ns,
+            imu_offset=state.imu_offset,
+            imu_drift=state.imu_drift,
+            sigma=np.sqrt(np.maximum(np.diag(covariance), 0.0)),
+            gains=gains,
+            directions=turn @ directions,
+            kept=gains < self.gain,
+        )
+
+    def considered(self) -> Array:
+        """Return the projection (25, 25) of an error onto the directions that may not move, eq. (15)."""
+        gains, directions = self.directions()
+        shut = directions[:, gains < self.gain]
+        projection = np.zeros_like(self.covariance)
+        sigma = np.where(self.prior_sigma > 0.0, self.prior_sigma, 1.0)
+        projection[CALIBRATION, CALIBRATION] = (shut @ shut.T) * (sigma[:, None] / sigma)
+        return projection

@@ -1,0 +1,153 @@
+"""The filter as an `Odometry`: messages in, results out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.config import RunConfig
+from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult, StartAccount
+from heliograph.imu.clock_shift import AROUND
+from heliograph.lie import so3
+from heliograph.maps import LocalMap
+from heliograph.odometry.filter.calibration_gate import uncertain_rig, with_calibration
+from heliograph.odometry.filter.core import FilterCore
+from heliograph.odometry.filter.start import FirstLook, find_start, look
+from heliograph.odometry.sequencer import Packet, Sequencer
+
+__all__ = ["FilterOdometry"]
+
+# Samples are kept so many times longer than they are needed: the next offset may be a smaller one.
+_FORGET = 20
+_LEVEL_DEG, _TILTED_DEG = 0.2, 1.0  # a map whose level is known no better deserves a remark, or a warning [deg]
+
+
+class FilterOdometry:
+    """The filter as an `Odometry`: it gathers a second or three, finds a start, and then steps scan by scan.
+
+    Nothing is lost by the waiting: the first scans are processed like all others once the start is known.
+
+    Parameters
+    ----------
+    config : RunConfig
+    rig : Rig
+        Mounting; where it is uncertain, it is estimated along.
+    sensors : frozenset of str
+        ``"lidar"``, ``"imu"`` or both.
+    threads : int
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        rig: Rig,
+        *,
+        sensors: frozenset[str],
+        threads: int = 1,
+        local_map: LocalMap | None = None,
+    ) -> None:
+        self.events: list[Event] = []
+        self.core: FilterCore | None = None
+        self.start: StartAccount | None = None
+        self._config, self._threads, self._local_map = config, threads, local_map
+        self._rig = uncertain_rig(rig, config.filter)
+        self._sensors = sensors & {"lidar", "imu"}
+        self._sequencer = Sequencer(self._sensors)
+        self._waiting: list[Packet] = []
+        self._first: FirstLook | None = None
+        self._around_ns = int(1e9 * AROUND) if config.filter.estimate_time_offset else 0
+
+    def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
+        """Take one message and return the results that it made ready."""
+        return self._advance(self._sequencer.add(message), ended=False)
+
+    def finish(self) -> list[ScanResult]:
+        """Return the results still waiting."""
+        results = self._advance(self._sequencer.finish(), ended=True)
+        self.events += [*self._doubts(), *self._calibrated()]
+        return results
+
+    def leveling(self) -> NDArray[np.float64]:
+        """Return ``T_leveled_odom`` (4, 4): the smallest rotation that lets the latest gravity point down."""
+        T = np.eye(4)
+        if self.core is not None and np.linalg.norm(self.core.state.g_odom) > 0.0:
+            T[:3, :3] = so3.from_two_vectors(self.core.state.g_odom, np.array([0.0, 0.0, -1.0]))
+        return T
+
+    def _doubts(self) -> list[Event]:
+        """Return what the last state says about the whole run: how well it knows which way is up."""
+        if self.core is None or np.linalg.norm(self.core.state.g_odom) == 0.0:
+            return []
+        tilt = np.degrees(np.sqrt(float(np.linalg.eigvalsh(self.core.state.covariance[15:17, 15:17])[-1])))
+        if tilt < _LEVEL_DEG:
+            return []
+        text = (
+            f"up is known to +- {tilt:.2f} deg only: over this recording a tilt cannot be told from an accelerometer "
+            f"bias - turn the sensor about its vertical axis to separate them"
+        )
+        severity = "warning" if tilt >= _TILTED_DEG else "info"
+        return [Event(code="tilt-uncertain", message=text, stamp_ns=self.core.state.stamp_ns, severity=severity)]
+
+    def _calibrated(self) -> list[Event]:
+        """Return what was found of mounting and clock."""
+        found = self.core.calibration if self.core is not None else None
+        if found is None:
+            return []
+        sigma = found.sigma
+        text = (
+            f"estimated along: mounting rotation to +- {np.degrees(sigma[:3].max()):.2f} deg, lever arm to "
+            f"+- {sigma[3:6].max():.3f} m, clock offset {1e3 * found.imu_offset:.2f} +- {1e3 * sigma[6]:.2f} ms, "
+            f"drift {1e6 * found.imu_drift:.1f} +- {1e6 * sigma[7]:.1f} ppm"
+        )
+        if found.kept_names:
+            text += f"; not excited and kept as given: {', '.join(found.kept_names)} - turn about all axes to tell them"
+        return [Event(code="online-calibration", message=text, severity="info")]
+
+    def _advance(self, packets: list[Packet], *, ended: bool) -> list[ScanResult]:
+        self._waiting += packets
+        if self.core is None and not self._start(ended=ended):
+            return []
+        results = [self._step(packet) for packet in self._waiting]
+        self._waiting = []
+        self.events += self._sequencer.events
+        self._sequencer.events = []
+        return results
+
+    def _start(self, *, ended: bool) -> bool:
+        if not self._waiting:
+            return False
+        first = self._waiting[0]
+        begin_ns = first.scan.stamp_ns if first.scan is not None else first.end_ns
+        gathered = (self._waiting[-1].end_ns - begin_ns) * 1e-9
+        if not ended and gathered < self._config.imu.start_window:
+            return False
+        imu = self._sequencer.imu.everything()
+        if self._first is None:
+            self._first = look(self._waiting, imu, self._rig, self._config, threads=self._threads)
+        # What begins in motion is known better from more of it.
+        if not ended and self._first.wants_more and gathered < self._config.imu.moving_window:
+            return False
+        start = find_start(self._waiting, imu, self._rig, self._config, threads=self._threads, first=self._first)
+        self.events += start.events
+        self.start = start.account
+        state = with_calibration(start.state, self._config.filter) if start.motion.inertial else start.state
+        self.core = FilterCore(state, start.motion, self._config, local_map=self._local_map, threads=self._threads)
+        return True
+
+    def _step(self, packet: Packet) -> ScanResult:
+        assert self.core is not None
+        begin_ns, end_ns = self._imu_time(self.core.state.stamp_ns), self._imu_time(packet.end_ns)
+        imu = self._sequencer.imu.between(begin_ns - self._around_ns, end_ns + self._around_ns)
+        if packet.scan is not None:
+            result = self.core.process(packet.scan, imu)
+        else:
+            result = self.core.dead_reckon(packet.end_ns, imu)
+        now_ns = self._imu_time(packet.end_ns)
+        self._sequencer.imu.forget_before(now_ns - _FORGET * self._around_ns)
+        self._sequencer.lead_ns = now_ns - packet.end_ns + self._around_ns
+        return result
+
+    def _imu_time(self, lidar_ns: int) -> int:
+        """Return what the IMU's clock shows at a stamp of the LiDAR's, as the state has it now [ns]."""
+        assert self.core is not None
+        return int(self.core.state.imu_clock.imu_time(np.int64(lidar_ns)))

@@ -1,0 +1,283 @@
+"""The LiDAR's own account of a recording's first seconds, for a start that cannot wait for rest.
+
+A filter that is led by a loose model follows the body wherever its points say, so that its poses owe little to the
+model: constant velocity alone, the gyroscope with constant velocity, or the whole IMU with noise far above its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.config import RunConfig
+from heliograph.data import ImuBatch, ImuNoise, NavState, Rig, Scan, ScanResult, Trajectory
+from heliograph.imu import MotionStart, align_motion
+from heliograph.imu.white_floor import noise_in_motion
+from heliograph.lie import so3
+from heliograph.odometry.filter.core import FilterCore
+from heliograph.odometry.filter.motion import MotionModel
+from heliograph.odometry.sequencer import Packet
+
+__all__ = ["NO_IMU", "LidarMotion", "blank_state", "find_motion", "lidar_only", "scans_of", "set_block"]
+
+Array = NDArray[np.float64]
+
+NO_IMU = ImuBatch(stamps_ns=np.zeros(0, np.int64), gyro=np.zeros((0, 3)), accel=np.zeros((0, 3)), received_ns=0)
+
+UNKNOWN_SPEED, UNKNOWN_RATE = 5.0, 1.0
+# White noise with which the IMU leads the LiDAR: over a scan of 0.1 s a turn of 0.5 deg and 5 cm, well above what a
+# match tells, so that the poses stay the LiDAR's.
+_LOOSE_GYRO, _LOOSE_ACCEL = 0.03, 3.0
+_FOUND_SPEED = 0.3  # of a velocity that an alignment has found already [m/s]
+_FEWEST_POSES = 5
+# Passes, each de-skewed with what the one before it found, until the velocity stays [m/s].
+_MOST_PASSES = 5
+_SAME_SPEED = 0.02
+# Speeds that a LiDAR is told of which is blind along its way and matches fewer than this share of its points [m/s].
+_TRIED_SPEEDS, _TRIED_SCANS, _FEW = (12.0, 24.0, 36.0, -12.0, -24.0, -36.0), 5, 0.5
+_FAST = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
+_SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LidarMotion:
+    """How the LiDAR alone saw the first scans: velocity and rate at their start, and what velocity gained."""
+
+    v_imu: Array
+    rate_imu: Array
+    v_gained: Array
+    mean_rate: Array
+    R_first_imu: Array
+    stamps_ns: NDArray[np.int64]
+
+    @property
+    def speed(self) -> float:
+        """[m/s]."""
+        return float(np.linalg.norm(self.v_imu))
+
+
+def scans_of(packets: Sequence[Packet]) -> list[Scan]:
+    """Return the scans that hold points."""
+    return [packet.scan for packet in packets if packet.scan is not None and len(packet.scan) > 0]
+
+
+def blank_state(stamp_ns: int, rig: Rig) -> NavState:
+    """Return a state of zeros, known exactly but for the mounting."""
+    covariance = np.zeros((17, 17) if rig.known else (23, 23))
+    if not rig.known:
+        covariance[17:20, 17:20] = rig.sigma_rotation**2 * np.eye(3)
+        covariance[20:23, 20:23] = rig.sigma_translation**2 * np.eye(3)
+    return NavState(
+        stamp_ns=stamp_ns,
+        R_odom_imu=np.eye(3),
+        p_odom=np.zeros(3),
+        v_odom=np.zeros(3),
+        gyro_bias=np.zeros(3),
+        accel_bias=np.zeros(3),
+        g_odom=np.zeros(3),
+        T_imu_lidar=rig.T_imu_lidar.copy(),
+        covariance=covariance,
+    )
+
+
+def set_block(state: NavState, first: int, sigma: float) -> None:
+    """Give three errors of a state that is still being made one sigma."""
+    state.covariance[first : first + 3, first : first + 3] = sigma**2 * np.eye(3)
+
+
+def constant_velocity_state(
+    stamp_ns: int, v: Array, rate: Array, v_sigma: float, rate_sigma: float, rig: Rig
+) -> NavState:
+    """Return the first state of the constant-velocity model."""
+    # See MotionModel: the imaginary gyroscope's bias is minus the body rate. The mounting is unobservable without an
+    # IMU.
+    state = blank_state(stamp_ns, replace(rig, known=True))
+    set_block(state, 6, v_sigma)
+    set_block(state, 9, rate_sigma)
+    return replace(state, v_odom=v, gyro_bias=-rate)
+
+
+def lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: int) -> LidarMotion | None:
+    """Run the constant-velocity filter over the first scans, and again with its first map de-skewed.
+
+    Between houses a LiDAR that is told to expect rest sees rest at any speed beyond two metres a scan: the walls along
+    the way fit everywhere. What gives that away is that it is blind along the way while most points find nothing; then
+    it is told of higher speeds, and follows the one that matches more points.
+    """
+    scans = scans_of(packets)
+    if len(scans) < 3:
+        return None
+
+    def run(v: Array, rate: Array, count: int) -> list[ScanResult]:
+        state = constant_velocity_state(scans[0].stamp_ns, v, rate, UNKNOWN_SPEED, UNKNOWN_RATE, rig)
+        core = FilterCore(state, MotionModel(config.imu, config.filter, None), config, threads=threads)
+        return [core.process(scan, NO_IMU) for scan in scans[:count]]
+
+    zero = np.zeros(3)
+    results = run(zero, zero, len(scans))
+    if (along := _blind_direction(results, config)) is not None:
+        tried = [run(speed * along, zero, _TRIED_SCANS) for speed in (0.0, *_TRIED_SPEEDS)]
+        best = max(tried, key=_share)
+        if best is not tried[0]:
+            results = run(best[-1].v_odom, zero, len(scans))
+    for last in (False, True):
+        if sum(result.matches > 0 for result in results) < 2:
+            return None
+        T = np.stack([result.T_odom_imu for result in results])
+        moved = _fit_motion(T, np.array([result.end_ns for result in results], dtype=np.int64), scans[0].stamp_ns)
+        if not last:
+            results = run(moved.v_imu, moved.rate_imu, len(scans))
+    return moved
+
+
+def _share(results: Sequence[ScanResult]) -> float:
+    """Return the share of points that matched, the first scan aside."""
+    return float(np.mean([result.matches / max(result.queries, 1) for result in results[1:]]))
+
+
+def _blind_direction(results: Sequence[ScanResult], config: RunConfig) -> Array | None:
+    """Return the direction, in the frame of the first pose, that scans are blind in which match few of their points."""
+    seen = [result for result in results[1:_TRIED_SCANS] if result.matches > 0]
+    if not seen or _share(results[:_TRIED_SCANS]) > _FEW:
+        return None
+    worst = min(seen, key=lambda result: float(result.eigenvalues_translation[0]))
+    if worst.eigenvalues_translation[0] > config.filter.degenerate_translation:
+        return None
+    return worst.weak_direction
+
+
+def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> LidarMotion:
+    """Fit parabolas to positions and rotation vectors, and read them at the first scan's start."""
+    t = (stamps_ns - begin_ns) * 1e-9
+    degree = 2 if len(t) >= 5 else 1
+    turns = so3.log(T[0, :3, :3].T @ T[:, :3, :3])
+    position = np.polynomial.polynomial.polyfit(t, T[:, :3, 3], degree)
+    rotation = np.polynomial.polynomial.polyfit(t, turns, degree)
+    R_first = T[0, :3, :3]
+    v_begin = position[1]
+    gained = 2.0 * position[2] * (t[-1] - 0.0) if degree == 2 else np.zeros(3)
+    return LidarMotion(
+        v_imu=R_first.T @ v_begin,
+        rate_imu=rotation[1],
+        v_gained=gained,
+        mean_rate=(turns[-1] - turns[0]) / (t[-1] - t[0]),
+        R_first_imu=T[:, :3, :3],
+        stamps_ns=stamps_ns,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Followed:
+    """Poses of the scans that matched, with covariances, and which share of the points did."""
+
+    poses: Trajectory
+    covariance: Array
+    share: float
+
+
+def find_motion(
+    packets: Sequence[Packet],
+    imu: ImuBatch,
+    rig: Rig,
+    config: RunConfig,
+    *,
+    moved: LidarMotion | None = None,
+    threads: int,
+) -> tuple[MotionStart, MotionStart] | None:
+    """Align the LiDAR's poses of the first scans with the IMU, in passes that de-skew better and better.
+
+    The first pass takes rotation from the gyroscope, because a sensor that is shaken turns too fast for a constant
+    rate, and a constant velocity; the others take the whole IMU, with the gravity, velocity and biases of the one
+    before. Where everything looks alike along the way, a fast vehicle is followed only from about the right speed: the
+    first pass is made from rest and from the speed that the LiDAR alone saw, and that counts which matches more points.
+
+    Parameters
+    ----------
+    packets, imu, rig, config, threads
+        As for `find_start`.
+    moved : LidarMotion, optional
+        What `lidar_only` saw of the first of them.
+
+    Returns
+    -------
+    (MotionStart, MotionStart) or None
+        At the first scan's start, with the accelerometer's scale held and with it estimated. None when too few scans
+        can be matched to say anything.
+    """
+    scans = scans_of(packets)
+    if len(scans) < _FEWEST_POSES:
+        return None
+    noise = noise_in_motion(imu, config.imu)
+
+    def follow(state: NavState, lead: ImuBatch) -> _Followed:
+        return _follow(scans, state, lead, config, threads)
+
+    def align(seen: _Followed, scale_sigma: float = 0.0) -> MotionStart:
+        return align_motion(
+            seen.poses,
+            seen.covariance,
+            imu,
+            noise=noise,
+            config=config.imu,
+            begin_ns=scans[0].stamp_ns,
+            scale_sigma=scale_sigma,
+        )
+
+    seen = max((follow(*led) for led in _led_by_gyro(scans[0], imu, rig, moved)), key=lambda seen: seen.share)
+    found: MotionStart | None = None
+    for _ in range(_MOST_PASSES):
+        if len(seen.poses) < _FEWEST_POSES:
+            return None
+        before, found = found, align(seen)
+        if found.verdict == "failed" or (before is not None and _same_velocity(before, found)):
+            break
+        seen = follow(*_led_by_imu(scans[0], found, imu, rig))
+    return (found, align(seen, _SCALE_SIGMA)) if found is not None and len(seen.poses) >= _FEWEST_POSES else None
+
+
+def _same_velocity(before: MotionStart, after: MotionStart) -> bool:
+    changed = after.R_odom_imu[0].T @ after.v_odom[0] - before.R_odom_imu[0].T @ before.v_odom[0]
+    return float(np.linalg.norm(changed)) < _SAME_SPEED
+
+
+def _led_by_gyro(
+    first: Scan, imu: ImuBatch, rig: Rig, moved: LidarMotion | None
+) -> Iterator[tuple[NavState, ImuBatch]]:
+    """Yield states and samples for the real gyroscope beside an accelerometer that reads zero without gravity."""
+    state, lead = blank_state(first.stamp_ns, replace(rig, known=True)), replace(imu, accel=np.zeros_like(imu.accel))
+    set_block(state, 6, UNKNOWN_SPEED)
+    yield state, lead
+    if moved is not None and moved.speed > _FAST:
+        yield replace(state, v_odom=moved.v_imu), lead
+
+
+def _led_by_imu(first: Scan, found: MotionStart, imu: ImuBatch, rig: Rig) -> tuple[NavState, ImuBatch]:
+    state = blank_state(first.stamp_ns, replace(rig, known=True))
+    set_block(state, 6, _FOUND_SPEED)
+    return replace(
+        state,
+        R_odom_imu=found.R_odom_imu[0],
+        v_odom=found.v_odom[0],
+        gyro_bias=found.gyro_bias,
+        accel_bias=found.accel_bias,
+        g_odom=found.g_odom,
+    ), imu
+
+
+def _follow(scans: Sequence[Scan], state: NavState, imu: ImuBatch, config: RunConfig, threads: int) -> _Followed:
+    """Run a filter over the scans that the samples only lead."""
+    noise = ImuNoise(gyro=_LOOSE_GYRO, accel=_LOOSE_ACCEL, gyro_walk=0.0, accel_walk=0.0)
+    core = FilterCore(state, MotionModel(config.imu, config.filter, noise), config, threads=threads)
+    results = [core.process(scan, imu) for scan in scans]
+    kept: list[ScanResult] = [result for result in results if result.status in ("first", "tracked", "degenerate")]
+    return _Followed(
+        poses=Trajectory(
+            stamps_ns=np.array([result.end_ns for result in kept], dtype=np.int64),
+            T_frame_body=np.stack([result.T_odom_imu for result in kept]),
+        ),
+        covariance=np.stack([result.covariance[:6, :6] for result in kept]),
+        share=_share(results),
+    )
