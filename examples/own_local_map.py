@@ -17,7 +17,11 @@ class CubeMap:
     """A `heliograph.maps.LocalMap`; `heliograph.testing.assert_local_map` checks such a class."""
 
     def __init__(self, edge: float = 0.5) -> None:
-        self.edge, self.keys = edge, np.array([-1])  # a cube that no point falls into keeps the look-up free of cases
+        self.edge = edge
+        self.clear()
+
+    def clear(self) -> None:
+        self.keys = np.array([-1])  # a cube that no point falls into keeps the look-up free of cases
         self.sums = np.ones((1, 13))  # count, sum 3, outer product 9
 
     def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from heliograph.data import ImuBatch
-from heliograph.imu.stretches import Grid, Stretch
+from heliograph.imu.stretches import Grid, ImuStretch
 
 GRAVITY = 9.80665
 START_NS = 1_700_000_000_000_000_000
@@ -33,7 +33,7 @@ def draw(rng, n, period, *, white=0.0, flicker_b=0.0, walk=0.0, quantisation=0.0
 
 def grid_of(columns, period):
     return Grid(
-        period=period, stretches=(Stretch(begin_ns=START_NS, samples=np.stack(columns, axis=1)),), filled=0, gaps=0
+        period=period, stretches=(ImuStretch(begin_ns=START_NS, samples=np.stack(columns, axis=1)),), filled=0, gaps=0
     )
 
 

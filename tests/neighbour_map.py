@@ -10,6 +10,9 @@ class NeighbourMap:
 
     def __init__(self, spacing=0.1, radius=60.0, neighbours=8):
         self.spacing, self.radius, self.neighbours = spacing, radius, neighbours
+        self.clear()
+
+    def clear(self):
         self.points, self._tree = np.zeros((0, 3)), None
 
     def insert(self, points_body, T_odom_body):

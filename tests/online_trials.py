@@ -6,6 +6,7 @@ import numpy as np
 
 from heliograph.config import RunConfig
 from heliograph.data import OnlineCalibration, Rig
+from heliograph.data.error_layout import CALIBRATION
 from heliograph.lie import so3
 from heliograph.odometry import FilterOdometry
 from heliograph.sim import SCENARIOS, simulate
@@ -61,7 +62,7 @@ def scenario(kind, duration):
     return SCENARIOS[kind].varied(walk={"speed": speed}).thinned(beams=16, columns=240, duration=duration)
 
 
-def online_trial(kind, seed, *, duration, drawn=False, drift=0.0, config=CONFIG):
+def online_trial(kind, seed, *, duration, drawn=False, drift=0.0, config=CONFIG, local_map=None):
     """Run with errors of fixed size and drawn direction, or with ``drawn`` sizes as the prior says; ``drift`` [s/s]."""
     rng = np.random.default_rng([3, seed])
     turn, shift = rng.normal(size=(2, 3))
@@ -78,14 +79,15 @@ def online_trial(kind, seed, *, duration, drawn=False, drift=0.0, config=CONFIG)
     wrong = true.copy()
     wrong[:3, :3] = wrong[:3, :3] @ so3.exp(turn)
     wrong[:3, 3] += shift
-    odometry = FilterOdometry(config, Rig(T_imu_lidar=wrong, source="wrong"), sensors=frozenset({"lidar", "imu"}))
+    rig, both = Rig(T_imu_lidar=wrong, source="wrong"), frozenset({"lidar", "imu"})
+    odometry = FilterOdometry(config, rig, sensors=both, local_map=local_map)
     results = [r for record in simulation for r in odometry.add(record)] + odometry.finish()
     found = results[-1].calibration
     late = float(simulation.clock.offset_at(np.int64(found.stamp_ns)))
     return OnlineTrial(
         first_error=_error(wrong, (0.0, 0.0), true, (offset, drift)),
         error=_error(found.T_imu_lidar, (found.imu_offset, found.imu_drift), true, (late, drift)),
-        covariance=odometry.core.state.covariance[17:, 17:],
+        covariance=odometry.core.state.covariance[CALIBRATION, CALIBRATION],
         found=found,
         R_imu_lidar=true[:3, :3],
         odometry=odometry,

@@ -49,12 +49,12 @@ ALLOWED: dict[str, set[str]] = {
     "checks": COMMON | SENSING | {"metrics"},
     "output": COMMON | SENSING | {"io"},
     "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output"},
-    "checkup": COMMON | SLAM | {"io", "checks"},
+    "examination": COMMON | SLAM | {"io", "checks"},
     "report": COMMON | SENSING | {"io", "output", "checks", "metrics"},
     "lab": COMMON | SLAM | {"sim", "metrics", "slam"},
     "cli": COMMON
     | SLAM
-    | {"slam", "io", "sim", "metrics", "checks", "checkup", "calibration", "output", "pipeline", "report", "lab"},
+    | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report", "lab"},
 }
 """Room below `heliograph` -> the rooms that it may import."""
 
@@ -84,6 +84,7 @@ STOREYS: dict[str, dict[str, set[str]]] = {
         "sequencer": set(),
         "protocol": {"filter"},
         "filter": {"sequencer"},
+        "follow": {"filter"},
     },
 }
 """The same inside the rooms that have storeys; their ``__init__`` may import all of them."""

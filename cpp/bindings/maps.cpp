@@ -48,11 +48,11 @@ void bind_maps(nb::module_& m) {
            },
            "voxel"_a, "levels"_a, "min_points"_a, "max_points"_a, "max_thickness"_a, "min_spread"_a, "point_spacing"_a)
       .def("insert",
-           [](VoxelMap& map, const Points& points, const Matrix4& T, const Matrix4& E) {
+           [](VoxelMap& map, const Points& points, const Matrix4& T) {
              nb::gil_scoped_release release;
-             return map.insert(span_of(points), T.data(), E.data());
+             return map.insert(span_of(points), T.data());
            },
-           "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "T_body_lidar"_a.noconvert())
+           "points_body"_a.noconvert(), "T_odom_body"_a.noconvert())
       .def("prune",
            [](VoxelMap& map, const Vector3& centre, double radius, size_t max_voxels) {
              nb::gil_scoped_release release;

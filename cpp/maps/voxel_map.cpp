@@ -83,7 +83,6 @@ uint32_t VoxelMap::locate(uint64_t key, size_t* created) {
   if (is_new) {
     planes_.push_back({{0, 0, 0}, {0, 0, 0}, -1.0F, 0.0F});
     moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0});
-    born_.push_back(static_cast<uint32_t>(mountings_.size() / 12 - 1));
     ++*created;
   }
   return slot->value;
@@ -104,9 +103,8 @@ void VoxelMap::add(const Delta& delta, uint64_t key, uint32_t id) {
   int k = 0;
   for (int i = 0; i < 3; ++i)
     for (int j = i; j < 3; ++j, ++k) m.outer[k] += delta.outer[k] + s[i] * d[j] + d[i] * s[j] + n * d[i] * d[j];
-  const auto insertion = static_cast<uint32_t>(mountings_.size() / 12);
-  if (m.touched != insertion) touched_.push_back(id);
-  m.touched = insertion;
+  if (m.touched != insertions_) touched_.push_back(id);
+  m.touched = insertions_;
 }
 
 // Adds a few deltas on all levels and returns how many of the coarsest cubes were new. The tables are larger than any
@@ -177,11 +175,10 @@ void VoxelMap::refit(uint32_t id) {
   plane.inv_spread = static_cast<float>(1.0 / spread[1]);
 }
 
-double VoxelMap::insert(std::span<const float> points_body, const double* T_odom_body, const double* T_body_lidar) {
+double VoxelMap::insert(std::span<const float> points_body, const double* T_odom_body) {
   gather(points_body, T_odom_body);
   touched_.clear();
-  if (anchor_.empty()) anchor_.assign(T_odom_body, T_odom_body + 12);
-  mountings_.insert(mountings_.end(), T_body_lidar, T_body_lidar + 12);
+  ++insertions_;
   size_t created = 0;
   for (size_t begin = 0; begin < deltas_.size(); begin += kBatch)
     created += add_batch(std::span<const Delta>(deltas_).subspan(begin, std::min(kBatch, deltas_.size() - begin)));
@@ -227,14 +224,12 @@ void VoxelMap::prune(const double* centre, double radius, size_t max_voxels) {
     if (distance2[id] > limit2) continue;
     planes_[kept] = planes_[id];
     moments_[kept] = moments_[id];
-    born_[kept] = born_[id];
     const bool full = moments_[kept].count >= static_cast<float>(settings_.max_points);
     index.place(moments_[kept].key, static_cast<uint32_t>(kept)).first->full = full ? 1 : 0;
     ++kept;
   }
   planes_.resize(kept);
   moments_.resize(kept);
-  born_.resize(kept);
   index_ = std::move(index);
   points_.prune(centre, std::sqrt(limit2));
 }

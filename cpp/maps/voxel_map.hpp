@@ -43,8 +43,7 @@ class VoxelMap {
 
   // Adds points of the body frame at pose T_odom_body (row-major 4x4) and refits the planes that changed enough. Returns
   // which share of the coarsest cubes touched was new: how much of the scan extends the map.
-  // T_body_lidar is the mounting that the points were brought into the body frame with.
-  double insert(std::span<const float> points_body, const double* T_odom_body, const double* T_body_lidar);
+  double insert(std::span<const float> points_body, const double* T_odom_body);
 
   // Keeps the cubes within `radius` of `centre`, and of those at most `max_voxels`, the nearest.
   void prune(const double* centre, double radius, size_t max_voxels);
@@ -56,11 +55,6 @@ class VoxelMap {
   const FlatIndex& index() const { return index_; }
   const std::vector<Plane>& planes() const { return planes_; }
   const std::vector<Moments>& moments() const { return moments_; }
-  // The insertion that first reached a cube, the mounting at each insertion, and the body's pose at the first (row-major
-  // 3x4): what an error of the mounting has done to a plane.
-  const std::vector<uint32_t>& born() const { return born_; }
-  const std::vector<double>& anchor() const { return anchor_; }
-  const std::vector<double>& mountings() const { return mountings_; }
   const PointGrid& points() const { return points_; }
 
  private:
@@ -99,9 +93,7 @@ class VoxelMap {
   FlatIndex seen_{15};
   std::vector<Delta> deltas_;
   std::vector<uint32_t> touched_;
-  std::vector<uint32_t> born_;
-  std::vector<double> anchor_;
-  std::vector<double> mountings_;
+  uint32_t insertions_ = 0;
 };
 
 }  // namespace heliograph

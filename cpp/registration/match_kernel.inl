@@ -14,7 +14,6 @@ struct FoundPlane {
   float offset[3];  // query minus a point of the plane
   float variance;   // of the plane at the query, across it [m^2]
   uint8_t source;   // 0 none, 1 + level, 255 neighbours
-  uint32_t id;      // of the cube, where there is one
 };
 
 inline uint64_t kernel_mix(uint64_t key) {
@@ -72,7 +71,6 @@ inline bool try_plane(const MapView& map, int level, const int64_t* c, const dou
   out->offset[2] = dz;
   out->variance = plane.variance * (1.0F + (dx * dx + dy * dy + dz * dz - r * r) * plane.inv_spread);
   out->source = static_cast<uint8_t>(1 + level);
-  out->id = id;
   return true;
 }
 
@@ -314,19 +312,14 @@ inline void mounting_part(const double* T, const double* E, const double* q, con
 
 // ... by the mounting's rotation and lever arm. Matching ties each LiDAR pose to the map, whatever the mounting; so an error
 // of the mounting moves the whole map as one piece, by what it did at the very first pose, and only the difference to what
-// it does at this pose shows. Returns how far that has moved the plane since it was made, as the mounting is believed now.
-inline double mounting_row(const MatchInput& in, const FoundPlane& plane, const double* q, const double* n, double* J) {
+// it does at this pose shows.
+inline void mounting_row(const MatchInput& in, const FoundPlane& plane, const double* q, const double* n, double* J) {
   for (int i = 0; i < 6; ++i) J[i] = 0.0;
-  if (plane.source == 255) return 0.0;  // its points came from many insertions: they are not asked while this runs
-  const uint64_t insertion = in.map.born[plane.id];
-  double then[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, moved = 0.0;
+  if (plane.source == 255) return;  // its points came from many poses: they are not asked while this runs
+  double then[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
   mounting_part(in.T_odom_body, in.T_body_lidar, q, n, J);
-  mounting_part(in.map.anchor, in.T_body_lidar, q, n, then);
-  for (int i = 0; i < 6; ++i) {
-    moved += then[i] * in.remount[6 * insertion + static_cast<uint64_t>(i)];
-    J[i] -= then[i];
-  }
-  return moved;
+  mounting_part(in.T_odom_body_first, in.T_body_lidar, q, n, then);
+  for (int i = 0; i < 6; ++i) J[i] -= then[i];
 }
 
 // ... by velocity and gyroscope bias: a point measured dt before the sweep's end was carried back by both.
@@ -337,15 +330,12 @@ inline void motion_row(double dt, const double* n, const double* rotation, doubl
   }
 }
 
-// Fills the row and returns what to take off the residual.
-inline double jacobian_row(const MatchInput& in, uint64_t k, const FoundPlane& plane, const double* q, const double* n,
-                           double* J) {
+inline void jacobian_row(const MatchInput& in, uint64_t k, const FoundPlane& plane, const double* q, const double* n,
+                         double* J) {
   double m[3];
   pose_row(in, in.points + 3 * k, n, m, J);
-  if (in.columns == 6) return 0.0;
-  if (in.before_end == nullptr) return mounting_row(in, plane, q, n, J + 6);
-  motion_row(in.before_end[k], n, J, J + 6);
-  return in.columns == 12 ? 0.0 : mounting_row(in, plane, q, n, J + 12);
+  if (in.before_end != nullptr) motion_row(in.before_end[k], n, J, J + 6);
+  if (in.T_body_lidar != nullptr) mounting_row(in, plane, q, n, J + in.columns - 6);
 }
 
 inline void accumulate(const double* J, int columns, double r, double w, double inv_var, NormalSums* sums) {
@@ -394,10 +384,10 @@ inline void planes_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
       fallback = true;
     }
     const double n[3] = {plane.normal[0], plane.normal[1], plane.normal[2]};
-    double r = n[0] * plane.offset[0] + n[1] * plane.offset[1] + n[2] * plane.offset[2];
+    const double r = n[0] * plane.offset[0] + n[1] * plane.offset[1] + n[2] * plane.offset[2];
     const double inv_var = 1.0 / (in.sigma * in.sigma + static_cast<double>(plane.variance));
     double J[kRow];
-    r -= jacobian_row(in, k, plane, q, n, J);
+    jacobian_row(in, k, plane, q, n, J);
     accumulate(J, in.columns, r, robust_weight(r, in.kernel), inv_var, sums);
     sums->cost += robust_cost(r, in.kernel) * inv_var;
     sums->matches += 1;

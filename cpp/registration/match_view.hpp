@@ -21,8 +21,6 @@ struct MapView {
   const PlaneView* planes;
   IndexView point_index;
   const BucketView* buckets;
-  const uint32_t* born;
-  const double* anchor;  // body pose of the first insertion, row-major 3x4
   double voxel;
   double point_size;
   double max_thickness;
@@ -35,7 +33,7 @@ struct MatchInput {
   const float* before_end;  // null: no columns of the motion
   const double* T_odom_body;
   const double* T_body_lidar;
-  const double* remount;  // 6 an insertion: how the mounting has changed since
+  const double* T_odom_body_first;
   double gate, kernel, sigma, fallback_range;
   int fallback_stride, columns;
 };

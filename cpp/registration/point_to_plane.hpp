@@ -8,7 +8,16 @@
 
 namespace heliograph {
 
-constexpr int kMaxColumns = 18;  // rotation 3, position 3, then six of the motion, of the mounting, or of both
+constexpr int kMaxColumns = 18;  // pose, then motion, then mounting, as far as asked for, six each
+
+// Six columns are the pose's: rotation and position. With the motion, velocity and gyroscope bias follow; with the
+// mounting, its rotation and lever arm come last.
+struct MatchBlocks {
+  bool motion;
+  bool mounting;
+
+  int columns() const { return 6 + (motion ? 6 : 0) + (mounting ? 6 : 0); }
+};
 
 struct MatchSettings {
   double gate;            // largest residual of a match [m]
@@ -16,7 +25,7 @@ struct MatchSettings {
   double sigma;           // of one range measurement across its plane [m]
   int fallback_stride;    // of the points without a plane, each such one asks for its neighbours; 0: none does
   double fallback_range;  // farthest neighbour [m]
-  int columns;            // 6, 12 or 18
+  MatchBlocks blocks;
 };
 
 // Sum over matches of J^T w J / s^2 and J^T w r / s^2.
@@ -31,13 +40,13 @@ struct NormalEquations {
   int64_t fallback_matches = 0;
 };
 
-// A de-skewed scan at a pose. With 12 columns the second six are velocity and gyroscope bias where `before_end` gives each
-// point's time before the sweep's end [s], else the mounting's rotation and lever arm; with 18 they are both, in this order.
+// A de-skewed scan at a pose; matrices are row-major 4x4.
 struct MatchScan {
   std::span<const float> points_body;  // (N, 3)
-  std::span<const float> before_end;   // (N,) or empty
-  const double* T_odom_body;           // row-major 4x4
-  const double* T_body_lidar;          // row-major 4x4
+  std::span<const float> before_end;   // (N,): each point's time before the sweep's end [s]; of the motion
+  const double* T_odom_body;
+  const double* T_body_lidar;          // of the mounting
+  const double* T_odom_body_first;     // where the map was begun; of the mounting
 };
 
 NormalEquations match_planes(const VoxelMap& map, const MatchScan& scan, const MatchSettings& settings, int threads);

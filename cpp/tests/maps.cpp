@@ -32,10 +32,10 @@ size_t count_planes(const VoxelMap& map) {
 
 void check_growth_and_prune() {
   VoxelMap map(kSettings);
-  map.insert({}, kIdentity, kIdentity);
+  map.insert({}, kIdentity);
   map.prune(kIdentity, 10.0, 100);
   CHECK(map.size() == 0);
-  map.insert(floor_points(40), kIdentity, kIdentity);  // 80 x 80 cubes and their parents: the table grows several times
+  map.insert(floor_points(40), kIdentity);  // 80 x 80 cubes and their parents: the table grows several times
   CHECK(map.size() == 6400 + 1600 + 400);
   CHECK(count_planes(map) > 6000);
   for (const Plane& plane : map.planes())
@@ -45,7 +45,7 @@ void check_growth_and_prune() {
   CHECK(map.size() > 1000 && map.size() < 3000);
   map.prune(centre, 10.0, 100);
   CHECK(map.size() >= 100 && map.size() < 120);  // cubes equally far are kept together
-  map.insert(floor_points(40), kIdentity, kIdentity);
+  map.insert(floor_points(40), kIdentity);
   CHECK(map.size() == 8400);
   const double nowhere[3] = {1e6, 0.0, 0.0};
   map.prune(nowhere, 10.0, 0);
@@ -55,12 +55,12 @@ void check_growth_and_prune() {
 void check_odd_points() {
   VoxelMap map(kSettings);
   const std::vector<float> odd{kNaN, 0, 0, 1, 2, 3, 0, std::numeric_limits<float>::infinity(), 0};
-  map.insert(odd, kIdentity, kIdentity);
+  map.insert(odd, kIdentity);
   CHECK(map.size() == 3);  // one finite point on three levels
   const std::vector<float> far{1e9F, -1e9F, 1e9F, -131'000.0F, 131'000.0F, 0.0F};
-  map.insert(far, kIdentity, kIdentity);
+  map.insert(far, kIdentity);
   CHECK(map.size() == 9);
-  for (int k = 0; k < 50; ++k) map.insert(std::vector<float>(9, 1.0F), kIdentity, kIdentity);  // one place, again and again
+  for (int k = 0; k < 50; ++k) map.insert(std::vector<float>(9, 1.0F), kIdentity);  // one place, again and again
   CHECK(count_planes(map) == 0);
 }
 

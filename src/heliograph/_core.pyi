@@ -414,7 +414,6 @@ class VoxelMap:
         self,
         points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
         T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
-        T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
     ) -> float: ...
     def prune(
         self,
@@ -446,12 +445,14 @@ def match_planes(
     before_end: Annotated[NDArray[numpy.float32], dict(shape=(None,), order="C", device="cpu", writable=False)],
     T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
     T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    T_odom_body_first: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
     gate: float,
     kernel: float,
     sigma: float,
     fallback_stride: int,
     fallback_range: float,
-    columns: int,
+    motion: bool,
+    mounting: bool,
     threads: int,
 ) -> tuple[Any, ...]: ...
 def match_points(
@@ -460,10 +461,12 @@ def match_points(
     before_end: Annotated[NDArray[numpy.float32], dict(shape=(None,), order="C", device="cpu", writable=False)],
     T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
     T_body_lidar: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    T_odom_body_first: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
     gate: float,
     kernel: float,
     sigma: float,
-    columns: int,
+    motion: bool,
+    mounting: bool,
     threads: int,
 ) -> tuple[Any, ...]: ...
 def query_planes(

@@ -226,7 +226,9 @@ def _assert_factor_of(
 
 
 def assert_local_map(make_map: Callable[[], LocalMap], rng: np.random.Generator) -> None:
-    """Assert that a local map finds the walls it was shown, keeps to gate and bound, and survives empty and NaN clouds.
+    """Assert that a local map finds the walls it was shown, keeps to gate and bound, and forgets when it is cleared.
+
+    Empty and NaN clouds must leave it as it is.
 
     Parameters
     ----------
@@ -260,11 +262,20 @@ def assert_local_map(make_map: Callable[[], LocalMap], rng: np.random.Generator)
     np.testing.assert_array_equal(after.source, before.source, err_msg="pruning around the walls forgot some")
     local_map.prune(walls.centre + 1e5)
     _assert_nothing_found(local_map, cloud_odom, "a map pruned 100 km away")
-    for _ in range(2):
-        local_map.insert(cloud_body, T)
-    np.testing.assert_array_equal(
-        local_map.planes_at(cloud_odom, gate=0.1).source, before.source, err_msg="the map does not fill again"
-    )
+    _assert_fills_again(local_map, cloud_body, T, cloud_odom, before.source, "a map pruned to nothing")
+    local_map.clear()
+    _assert_nothing_found(local_map, cloud_odom, "a cleared map")
+    _assert_fills_again(local_map, cloud_body, T, cloud_odom, before.source, "a cleared map")
+
+
+def _assert_fills_again(
+    local_map: LocalMap, cloud_body: NDArray[np.float32], T: Array, queries: Array, source: NDArray[np.uint8], case: str
+) -> None:
+    share = local_map.insert(cloud_body, T)
+    assert share == 1.0, f"{case} takes the first scan for new by {share:.0%}, not all of it"
+    local_map.insert(cloud_body, T)
+    found = local_map.planes_at(queries, gate=0.1)
+    np.testing.assert_array_equal(found.source, source, err_msg=f"{case} does not fill again")
 
 
 class _Walls:

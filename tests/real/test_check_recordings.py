@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from heliograph.checks import ImuRecord, check_imu
-from heliograph.checkup import examine_imu
 from heliograph.config import RunConfig
 from heliograph.errors import MissingDependencyError
+from heliograph.examination import examine_imu
 from heliograph.io import open_recording
 
 pytestmark = pytest.mark.real

@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from heliograph.lie import so3
-
 
 def find_slowly(slow_map, q, gate, *, fallback):
     found = slow_map.plane_at(q, gate)
@@ -28,24 +26,11 @@ def mounting_part(T_odom_imu, T_imu_lidar, q, n):
     return np.concatenate([np.cross(p_lidar, T_imu_lidar[:3, :3].T @ m), m])
 
 
-def second_row(pose, n, q, T_odom_imu, T_imu_lidar, *, before_end, mounted, source):
-    """The six or twelve columns after the pose's, and what to take off the residual.
-
-    A mounting error shows only by the difference between what it does here and what it did at the map's first pose;
-    ``mounted`` holds that pose, and the mounting that the planes were made with.
-    """
-    if before_end is not None and mounted is None:
-        return motion_row(before_end, pose), 0.0
-    if before_end is not None:
-        more, moved = second_row(pose, n, q, T_odom_imu, T_imu_lidar, before_end=None, mounted=mounted, source=source)
-        return np.concatenate([motion_row(before_end, pose), more]), moved
+def mounting_row(n, q, T_odom_imu, T_imu_lidar, *, T_first, source):
+    """... by the mounting: what its error does here less what it did at the map's first pose."""
     if source == 255:
-        return np.zeros(6), 0.0
-    T_first, T_imu_lidar_then = mounted
-    then = mounting_part(T_first, T_imu_lidar, q, n)
-    turn = so3.log(T_imu_lidar_then[:3, :3].T @ T_imu_lidar[:3, :3])
-    moved = then @ np.concatenate([turn, T_imu_lidar[:3, 3] - T_imu_lidar_then[:3, 3]])
-    return mounting_part(T_odom_imu, T_imu_lidar, q, n) - then, moved
+        return np.zeros(6)
+    return mounting_part(T_odom_imu, T_imu_lidar, q, n) - mounting_part(T_first, T_imu_lidar, q, n)
 
 
 def sums_slowly(terms, columns, kernel):
@@ -66,7 +51,7 @@ def sums_slowly(terms, columns, kernel):
 
 
 def match_planes_slowly(
-    slow_map, points, T_odom_imu, T_imu_lidar, *, gate, kernel, sigma, before_end=None, mounted=None
+    slow_map, points, T_odom_imu, *, gate, kernel, sigma, before_end=None, T_imu_lidar=None, T_first=None
 ):
     terms, fallbacks = [], 0
     for i, p in enumerate(points.astype(np.float64)):
@@ -76,16 +61,16 @@ def match_planes_slowly(
             continue
         n, point, variance, source = found
         fallbacks += source == 255
-        J, r = pose_row(p, n, T_odom_imu), n @ (q - point)
-        if before_end is not None or mounted is not None:
-            dt = None if before_end is None else before_end[i]
-            more, moved = second_row(J, n, q, T_odom_imu, T_imu_lidar, before_end=dt, mounted=mounted, source=source)
-            J, r = np.concatenate([J, more]), r - moved
-        terms.append((J[None], np.array([r]), sigma**2 + variance))
-    return *sums_slowly(terms, 6 + 6 * (before_end is not None) + 6 * (mounted is not None), kernel), fallbacks
+        pose = pose_row(p, n, T_odom_imu)
+        motion = [] if before_end is None else motion_row(before_end[i], pose)
+        mounting = []
+        if T_first is not None:
+            mounting = mounting_row(n, q, T_odom_imu, T_imu_lidar, T_first=T_first, source=source)
+        terms.append((np.concatenate([pose, motion, mounting])[None], np.array([n @ (q - point)]), sigma**2 + variance))
+    return *sums_slowly(terms, 6 + 6 * (before_end is not None) + 6 * (T_first is not None), kernel), fallbacks
 
 
-def match_points_slowly(slow_map, points, T_odom_imu, T_imu_lidar, *, gate, kernel, sigma, before_end=None):
+def match_points_slowly(slow_map, points, T_odom_imu, *, gate, kernel, sigma, before_end=None):
     terms = []
     for i, p in enumerate(points.astype(np.float64)):
         q = T_odom_imu[:3, :3] @ p + T_odom_imu[:3, 3]

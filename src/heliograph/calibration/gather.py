@@ -1,8 +1,8 @@
-"""What a calibration starts from: thinned scans, inertial samples, and where the LiDAR alone believes it was."""
+"""What a calibration starts from: thinned scans, inertial samples, and where the LiDAR alone finds that it was."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
-from heliograph.data import GnssFix, ImuBatch, Rig, Scan, ScanResult
+from heliograph.data import GnssFix, ImuBatch, Scan
 from heliograph.errors import DataError
-from heliograph.odometry import FilterOdometry
+from heliograph.odometry.follow import follow_lidar
 
 __all__ = ["Evidence", "gather", "refined", "thinned"]
 
 Array = NDArray[np.float64]
 Message: TypeAlias = Scan | ImuBatch | GnssFix
 
-_FEWEST_SCANS, _FEWEST_SAMPLES = 20, 20
-_EVEN = 0.2  # by which share neighbouring sample periods may differ for a cubic through them to make sense
+_MIN_SCANS, _MIN_SAMPLES = 20, 20
+_EVENNESS = 0.2  # by which share neighbouring sample periods may differ for a cubic through them to make sense
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,33 +67,33 @@ def gather(stream: Iterable[Message], config: RunConfig, *, threads: int = 1) ->
     DataError
         Too few scans that match each other, or too few inertial samples.
     """
-    sensor = Rig(T_imu_lidar=np.eye(4), source="the lidar frame itself")
-    thrifty = replace(config, cloud=replace(config.cloud, target_points=config.calibration.matches))
-    odometry = FilterOdometry(thrifty, sensor, sensors=frozenset({"lidar"}), threads=threads)
     scans: dict[int, Scan] = {}
     batches: list[ImuBatch] = []
-    poses: dict[int, Array] = {}
-    for message in stream:
-        if isinstance(message, ImuBatch):
-            batches.append(message)
-        if not isinstance(message, Scan):
-            continue
-        scan = thinned(message, config.calibration.points)
-        if scans and (scan.end_ns - next(iter(scans))) * 1e-9 > config.calibration.longest:
-            break
-        scans[scan.end_ns] = scan
-        poses.update(_placed(odometry.add(scan)))
-    poses.update(_placed(odometry.finish()))
+
+    def taken() -> Iterator[Scan]:
+        for message in stream:
+            if isinstance(message, ImuBatch):
+                batches.append(message)
+            if not isinstance(message, Scan):
+                continue
+            scan = thinned(message, config.calibration.points)
+            if scans and (scan.end_ns - next(iter(scans))) * 1e-9 > config.calibration.longest:
+                return
+            scans[scan.end_ns] = scan
+            yield scan
+
+    followed = follow_lidar(taken(), config, matches=config.calibration.matches, threads=threads)
+    poses = {result.end_ns: result.T_odom_imu for result in followed if result.matched}
     ends = [end for end in scans if end in poses]
     samples = sum(len(batch) for batch in batches)
-    if len(ends) < _FEWEST_SCANS or samples < _FEWEST_SAMPLES:
+    if len(ends) < _MIN_SCANS or samples < _MIN_SAMPLES:
         raise DataError(
             f"{len(ends)} scans that match each other and {samples} inertial samples are too few to calibrate with "
-            f"(at least {_FEWEST_SCANS} of each); record some 30 s of motion before walls that the LiDAR sees well"
+            f"(at least {_MIN_SCANS} of each); record some 30 s of motion before walls that the LiDAR sees well"
         )
     return Evidence(
         scans=tuple(scans[end] for end in ends),
-        imu=_joined(batches),
+        imu=ImuBatch.joined(batches),
         T_odom_lidar=np.stack([poses[end] for end in ends]),
     )
 
@@ -107,7 +107,7 @@ def refined(imu: ImuBatch) -> ImuBatch:
     """
     steps = np.diff(imu.stamps_ns).astype(np.float64)
     around = np.stack([steps[:-2], steps[1:-1], steps[2:]])
-    even = around.max(axis=0) - around.min(axis=0) <= _EVEN * around[1]
+    even = around.max(axis=0) - around.min(axis=0) <= _EVENNESS * around[1]
     k = 1 + np.flatnonzero(even)  # the middle lies between samples k and k + 1
 
     def with_middles(samples: Array) -> Array:
@@ -125,24 +125,4 @@ def refined(imu: ImuBatch) -> ImuBatch:
 
 def thinned(scan: Scan, points: int) -> Scan:
     """Return the scan with at most about ``points`` of its points, taken at equal steps."""
-    step = max(1, -(-len(scan) // points))
-    return replace(
-        scan,
-        points=np.ascontiguousarray(scan.points[::step]),
-        offsets_ns=np.ascontiguousarray(scan.offsets_ns[::step]),
-        intensity=None,
-        ring=None,
-    )
-
-
-def _placed(results: Iterable[ScanResult]) -> dict[int, Array]:
-    return {r.end_ns: r.T_odom_imu for r in results if r.status in ("tracked", "degenerate", "first")}
-
-
-def _joined(batches: list[ImuBatch]) -> ImuBatch:
-    return ImuBatch(
-        stamps_ns=np.concatenate([batch.stamps_ns for batch in batches]),
-        gyro=np.concatenate([batch.gyro for batch in batches]),
-        accel=np.concatenate([batch.accel for batch in batches]),
-        received_ns=batches[-1].received_ns,
-    )
+    return scan.thinned(max(1, -(-len(scan) // points)))

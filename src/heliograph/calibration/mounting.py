@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan
+from heliograph.data.error_layout import LEVER_ARM, MOUNTING_ROTATION
 from heliograph.lie import so3
 from heliograph.odometry import FilterOdometry
+from heliograph.odometry.follow import follow_lidar, thrifty
 
 __all__ = ["MountingAlignment", "align_mounting", "align_rotations"]
 
@@ -25,17 +27,19 @@ Array = NDArray[np.float64]
 Message = Scan | ImuBatch | GnssFix
 
 _WINDOW = 5  # scans over which turns are compared
+_LOOK_EVERY = 20  # scans after which it is asked whether the turns suffice
 _TURN_SIGMA = 0.004  # of one such comparison: the LiDAR's odometry and the gyroscope's drift together [rad]
-_ENOUGH = 0.005  # the rotation is known well enough when its weakest axis is [rad]
-_LONGEST = 60.0  # of the recording looked at [s]
+_SUFFICIENT_SIGMA = 0.005  # the rotation is known well enough when its weakest axis is [rad]
+_MAX_SECONDS = 60.0  # of the recording looked at [s]
 # Each pass begins with a better guess, so that its map is bent less by the error still to be found; it ends when a pass
 # changes little.
-_MOST_PASSES = 5
-_SETTLED_ROTATION, _SETTLED_LEVER = 5e-4, 0.005
-# A pass that runs farther from the rough guess than so many of its sigmas has lost its footing.
-_IMPLAUSIBLE = 4.0
-_THINNING = 3  # of the points one of so many is used
-_LEVER_SIGMA = 0.3  # of a lever arm nobody told [m]
+_MAX_PASSES = 5
+_SETTLED_ROTATION, _SETTLED_LEVER = 5e-4, 0.005  # [rad], [m]
+# A pass that runs farther from the rough guess than this many of its sigmas has lost its footing.
+_IMPLAUSIBLE_SIGMAS = 4.0
+_THINNING_STEP = 3  # every third point is used: the mounting shows in the motion, not in the map's detail
+_LEVER_SIGMA = 0.3  # of a lever arm that no source gives [m]
+_ROTATION_FLOOR, _LEVER_FLOOR = 1e-3, 0.02  # of the sigmas that the filter ends with [rad], [m]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +98,7 @@ def align_mounting(
         sigma_rotation=float(np.clip(sigma[-1], 0.01, 0.5)),
         sigma_translation=_LEVER_SIGMA,
     )
-    rig = _settled(open_stream, rough, config, threads, begin_ns + int(_LONGEST * 1e9))
+    rig = _settled(open_stream, rough, config, threads, begin_ns + int(_MAX_SECONDS * 1e9))
     return MountingAlignment(rig=rig, sigma_rotation=sigma, duration=duration, events=(_found(rig, duration),))
 
 
@@ -107,11 +111,11 @@ def _settled(
     its wide sigmas, because a filter that goes on searching for a mounting without evidence ends far away.
     """
     rig = rough
-    for _ in range(_MOST_PASSES):
+    for _ in range(_MAX_PASSES):
         before = rig
         rig = _refined(open_stream(), replace(rough, T_imu_lidar=before.T_imu_lidar), config, threads, until_ns)
         turn, shift = _difference(rough, rig)
-        if turn > _IMPLAUSIBLE * rough.sigma_rotation or shift > _IMPLAUSIBLE * rough.sigma_translation:
+        if turn > _IMPLAUSIBLE_SIGMAS * rough.sigma_rotation or shift > _IMPLAUSIBLE_SIGMAS * rough.sigma_translation:
             return replace(rough, known=True)
         turn, shift = _difference(before, rig)
         if turn < _SETTLED_ROTATION and shift < _SETTLED_LEVER:
@@ -161,19 +165,23 @@ def align_rotations(turns_lidar: Array, turns_imu: Array, spans: Array) -> tuple
 
 def _turns(stream: Iterable[Message], config: RunConfig, threads: int) -> tuple[Array, Array, Array, int, int]:
     """Run the LiDAR alone and integrate the gyroscope beside it until the turns suffice."""
-    sensor = Rig(T_imu_lidar=np.eye(4), source="the lidar frame itself")
-    odometry = FilterOdometry(_thrifty(config), sensor, sensors=frozenset({"lidar"}), threads=threads)
     ends: list[int] = []
     rotations: list[Array] = []
     imu: list[ImuBatch] = []
-    for message in stream:
-        if isinstance(message, ImuBatch):
-            imu.append(message)
-        for result in odometry.add(_thinned(message)):
-            if result.status in ("tracked", "degenerate", "first"):
-                ends.append(result.end_ns)
-                rotations.append(result.T_odom_imu[:3, :3])
-        if len(ends) > 2 and len(ends) % 20 == 0 and _suffice(ends, rotations):
+
+    def scans() -> Iterator[Scan]:
+        for message in stream:
+            if isinstance(message, ImuBatch):
+                imu.append(message)
+            elif isinstance(message, Scan):
+                yield message.thinned(_THINNING_STEP)
+
+    for result in follow_lidar(scans(), config, threads=threads):
+        if not result.matched:
+            continue
+        ends.append(result.end_ns)
+        rotations.append(result.T_odom_imu[:3, :3])
+        if len(ends) % _LOOK_EVERY == 0 and _suffice(ends, rotations):
             break
     if len(ends) <= _WINDOW or not imu:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), ends[-1] if ends else 0, ends[0] if ends else 0
@@ -186,19 +194,19 @@ def _turns(stream: Iterable[Message], config: RunConfig, threads: int) -> tuple[
 
 
 def _suffice(ends: list[int], rotations: list[Array]) -> bool:
-    if (ends[-1] - ends[0]) * 1e-9 > _LONGEST:
+    if (ends[-1] - ends[0]) * 1e-9 > _MAX_SECONDS:
         return True
     stack = np.stack(rotations)
     turns = so3.log(np.swapaxes(stack[:-_WINDOW], -1, -2) @ stack[_WINDOW:])
     H = so3.hat(turns)
     information = np.einsum("kij,kil->jl", H, H) / (_WINDOW * _TURN_SIGMA**2)
-    return float(np.linalg.eigvalsh(information)[0]) > 1.0 / _ENOUGH**2
+    return float(np.linalg.eigvalsh(information)[0]) > 1.0 / _SUFFICIENT_SIGMA**2
 
 
 def _integrated_gyro(batches: list[ImuBatch], at_ns: NDArray[np.int64]) -> Array:
     """Return the gyroscope's own orientation at the stamps, from an arbitrary first one, (N, 3, 3)."""
-    stamps = np.concatenate([batch.stamps_ns for batch in batches])
-    rates = np.concatenate([batch.gyro for batch in batches])
+    whole = ImuBatch.joined(batches)
+    stamps, rates = whole.stamps_ns, whole.gyro
     inside = np.unique(np.concatenate([stamps, at_ns]))
     rate = np.stack([np.interp(inside - stamps[0], stamps - stamps[0], rates[:, i]) for i in range(3)], axis=1)
     steps = so3.exp(0.5 * (rate[1:] + rate[:-1]) * (np.diff(inside) * 1e-9)[:, None])
@@ -210,39 +218,23 @@ def _integrated_gyro(batches: list[ImuBatch], at_ns: NDArray[np.int64]) -> Array
 
 def _refined(stream: Iterable[Message], rough: Rig, config: RunConfig, threads: int, until_ns: int) -> Rig:
     """Let the filter estimate the whole mounting over the same data."""
-    odometry = FilterOdometry(_thrifty(config), rough, sensors=frozenset({"lidar", "imu"}), threads=threads)
+    config = thrifty(config, config.cloud.target_points // 2)
+    odometry = FilterOdometry(config, rough, sensors=frozenset({"lidar", "imu"}), threads=threads)
     for message in _until(stream, until_ns):
-        odometry.add(_thinned(message))
+        odometry.add(message.thinned(_THINNING_STEP) if isinstance(message, Scan) else message)
     odometry.finish()
     if odometry.core is None:
         return rough
     state = odometry.core.state
-    sigma = np.sqrt(np.diag(state.covariance)[17:23])
+    sigma = np.sqrt(np.diag(state.covariance))
     # The floors stand for what the filter does not model: the mount's own sway, time offsets, the map's errors.
     return replace(
         rough,
         T_imu_lidar=state.T_imu_lidar,
         source="aligned from the data",
-        sigma_rotation=float(max(sigma[:3].max(), 1e-3)),
-        sigma_translation=float(max(sigma[3:].max(), 0.02)),
+        sigma_rotation=float(max(sigma[MOUNTING_ROTATION].max(), _ROTATION_FLOOR)),
+        sigma_translation=float(max(sigma[LEVER_ARM].max(), _LEVER_FLOOR)),
     )
-
-
-def _thinned(message: Message) -> Message:
-    """Leave out most points: the mounting shows in the motion, not in the map's detail."""
-    if not isinstance(message, Scan):
-        return message
-    return replace(
-        message,
-        points=np.ascontiguousarray(message.points[::_THINNING]),
-        offsets_ns=np.ascontiguousarray(message.offsets_ns[::_THINNING]),
-        intensity=None,
-        ring=None,
-    )
-
-
-def _thrifty(config: RunConfig) -> RunConfig:
-    return replace(config, cloud=replace(config.cloud, target_points=config.cloud.target_points // 2))
 
 
 def _until(stream: Iterable[Message], until_ns: int) -> Iterator[Message]:

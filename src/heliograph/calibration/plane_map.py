@@ -154,7 +154,7 @@ class _Cubes:
         return np.ones(len(points), dtype=np.bool_) if few else np.asarray(both)
 
     def linearize(self, points: Points, T_odom_lidar: Array, settings: MatchSettings) -> NormalEquations:
-        return linearize(self._fine, points, self._T_cubes_odom @ T_odom_lidar, np.eye(4), settings)
+        return linearize(self._fine, points, self._T_cubes_odom @ T_odom_lidar, settings)
 
     def scatter(self, points: Points, T_odom_lidar: Array, settings: MatchSettings) -> Array:
         return gradient_scatter(self._fine, points, self._T_cubes_odom @ T_odom_lidar, settings)

@@ -123,21 +123,13 @@ def read_imu(recording: Recording) -> ImuBatch:
     DataError
         There are none.
     """
-    import numpy as np
-
     from heliograph.data import ImuBatch
     from heliograph.errors import DataError
 
     batches = [record for record in recording.stream() if isinstance(record, ImuBatch)]
     if not batches:
         raise DataError(f"{recording.description}: no usable IMU sample; see `heliograph info`")
-    return ImuBatch(
-        stamps_ns=np.concatenate([batch.stamps_ns for batch in batches]),
-        gyro=np.concatenate([batch.gyro for batch in batches]),
-        accel=np.concatenate([batch.accel for batch in batches]),
-        received_ns=batches[-1].received_ns,
-        frame_id=batches[0].frame_id,
-    )
+    return ImuBatch.joined(batches)
 
 
 def noise_config(result: NoiseCalibration, config: RunConfig, name: str) -> str:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from heliograph.checks import CheckReport, Finding, Number
-    from heliograph.checkup import Watcher
     from heliograph.config import RunConfig
+    from heliograph.examination import Watcher
     from heliograph.io import Recording
 
 __all__ = ["check"]
@@ -41,7 +41,7 @@ def check(
     quiet: options.Quiet = False,
 ) -> None:
     """Check a recording's IMU: units, axes, clock, gaps, saturation, vibration, each with a remedy."""
-    from heliograph.checkup import examine_imu
+    from heliograph.examination import examine_imu
     from heliograph.pipeline import thread_count
 
     resolved = options.build_config(

@@ -4,9 +4,10 @@ from heliograph.data.clock import ImuClock
 from heliograph.data.event import Event
 from heliograph.data.gnss import GnssFix
 from heliograph.data.imu import ImuBatch, ImuNoise
+from heliograph.data.imu_record import ImuRecord
 from heliograph.data.nav_state import NavState
 from heliograph.data.online_calibration import OnlineCalibration
-from heliograph.data.result import ScanResult
+from heliograph.data.result import ScanResult, ScanStatus
 from heliograph.data.rig import Rig
 from heliograph.data.scan import Scan
 from heliograph.data.start import StartAccount
@@ -18,11 +19,13 @@ __all__ = [
     "ImuBatch",
     "ImuClock",
     "ImuNoise",
+    "ImuRecord",
     "NavState",
     "OnlineCalibration",
     "Rig",
     "Scan",
     "ScanResult",
+    "ScanStatus",
     "StartAccount",
     "Trajectory",
 ]

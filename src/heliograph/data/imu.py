@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,26 @@ class ImuBatch:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    def __getitem__(self, part: slice | NDArray[np.bool_] | NDArray[np.intp]) -> ImuBatch:
+        """Return some of the samples, chosen by a slice, a mask or indices in time order."""
+        return replace(self, stamps_ns=self.stamps_ns[part], gyro=self.gyro[part], accel=self.accel[part])
+
+    @classmethod
+    def joined(cls, batches: Sequence[ImuBatch]) -> ImuBatch:
+        """Return the samples of several batches in time order as one; that of none is empty.
+
+        It was received with the last batch and bears the frame of the first.
+        """
+        if not batches:
+            return cls(stamps_ns=np.zeros(0, np.int64), gyro=np.zeros((0, 3)), accel=np.zeros((0, 3)), received_ns=0)
+        return cls(
+            stamps_ns=np.concatenate([batch.stamps_ns for batch in batches]),
+            gyro=np.concatenate([batch.gyro for batch in batches]),
+            accel=np.concatenate([batch.accel for batch in batches]),
+            received_ns=batches[-1].received_ns,
+            frame_id=batches[0].frame_id,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,9 +30,9 @@ class NavState:
     T_imu_lidar : (4, 4) float64
         Mounting [m].
     covariance : (K, K) float64
-        K = 17: rotation (body) 3, position (odom) 3, velocity (odom) 3, gyro bias 3, accelerometer bias 3, gravity
-        direction 2. K = 23 adds mounting rotation (lidar) 3 and lever arm (imu) 3, K = 25 also the clock's
-        offset and drift.
+        Its rows are those of `heliograph.data.error_layout`. K = 17: rotation (body) 3, position (odom) 3, velocity
+        (odom) 3, gyro bias 3, accelerometer bias 3, gravity direction 2. K = 23 adds mounting rotation (lidar) 3 and
+        lever arm (imu) 3, K = 25 also the clock's offset and drift.
     imu_offset : float
         What the IMU's clock shows more than the LiDAR's, whose stamps the state bears, at ``stamp_ns`` [s].
     imu_drift : float

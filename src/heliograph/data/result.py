@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,10 @@ from heliograph.data.event import Event
 from heliograph.data.online_calibration import OnlineCalibration
 from heliograph.data.trajectory import Trajectory
 
-__all__ = ["ScanResult"]
+__all__ = ["ScanResult", "ScanStatus"]
+
+ScanStatus: TypeAlias = Literal["first", "tracked", "degenerate", "predicted", "lost", "empty"]
+"""How a scan fared; see `ScanResult`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,11 +42,10 @@ class ScanResult:
     T_imu_lidar : (4, 4) float64
         Mounting as used for this scan.
     covariance : (K, K) float64
-        Of the filter's error state: rotation (body), position (odom), velocity (odom), gyro bias, accelerometer bias,
-        gravity ... (CONVENTIONS.md, 2).
+        Covariance of the filter's error state, in the order of `heliograph.data.error_layout`.
     pose_covariance : (6, 6) float64
-        Of rotation (body) and position (odom) against the odom frame's origin: the filter's own, which takes the map as
-        it is, plus what the map itself has drifted.
+        Covariance of rotation (body) and position (odom) against the odom frame's origin: the filter's own, which takes
+        the map as it is, plus what the map itself has drifted.
     path : Trajectory
         odom frame, imu body: the poses from the previous scan's end to this one's, at the IMU samples in between and at
         both ends, and at ``header_stamp_ns`` where that lies inside.
@@ -51,24 +54,24 @@ class ScanResult:
     points_imu : (N, 3) float32
         The de-skewed points in the imu frame at ``end_ns`` [m]. One a valid point of the message inside the range gate.
     intensity : (N,) float32 or None
-        Of those points.
-    status : str
+        Intensity of those points.
+    status : ScanStatus
         ``"first"``, ``"tracked"``, ``"degenerate"``, ``"predicted"`` (nothing matched; the motion model carried on),
         ``"lost"``, ``"empty"``.
     matches : int
         Points with a plane.
     fallback_matches : int
-        Of those, found by the nearest-neighbour fallback.
+        Those among them that the nearest-neighbour fallback found.
     queries : int
         Points that looked for one.
     iterations : int
-        Of the iterated update.
+        Iterations of the update.
     rms : float
         Robust RMS of the point-to-plane residuals after the update [m].
     nis : float
         Squared correction of the pose in units of its predicted uncertainty; about 6 on average when that is honest.
     eigenvalues_rotation, eigenvalues_translation : (3,) float64
-        Of the per-measurement information matrix, ascending [1/rad^2 m^2 scaled to 1 m lever; 1].
+        Eigenvalues of the per-measurement information matrix, ascending [1/rad^2 m^2 scaled to 1 m lever; 1].
         In [0, 1] for translation.
     weak_direction : (3,) float64
         Unit vector along the least observed translation, odom frame.
@@ -96,7 +99,7 @@ class ScanResult:
     T_odom_imu_header: NDArray[np.float64]
     points_imu: NDArray[np.float32]
     intensity: NDArray[np.float32] | None
-    status: str
+    status: ScanStatus
     matches: int = 0
     fallback_matches: int = 0
     queries: int = 0
@@ -109,3 +112,8 @@ class ScanResult:
     timings: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     calibration: OnlineCalibration | None = None
+
+    @property
+    def matched(self) -> bool:
+        """Whether the pose rests on the scan's points: it began the map, or was matched to it."""
+        return self.status in ("first", "tracked", "degenerate")

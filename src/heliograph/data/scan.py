@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,3 +62,13 @@ class Scan:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def thinned(self, step: int) -> Scan:
+        """Return the scan with every ``step``-th of its points, without intensity and rings; its times stay."""
+        return replace(
+            self,
+            points=np.ascontiguousarray(self.points[::step]),
+            offsets_ns=np.ascontiguousarray(self.offsets_ns[::step]),
+            intensity=None,
+            ring=None,
+        )

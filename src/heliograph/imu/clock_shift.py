@@ -6,14 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import ImuBatch, ImuNoise, NavState
+from heliograph.data.error_layout import NAV_DIM, POSITION, ROTATION, VELOCITY
 
-__all__ = ["AROUND", "clock_shift"]
+__all__ = ["HALF_WINDOW", "clock_shift"]
 
 Array = NDArray[np.float64]
 
-AROUND = 0.015
-"""The signals at an instant are means over so much before and after it: single samples are mostly noise [s]."""
-_CLEAR = 3.0  # sigmas of that noise beyond which a change is taken to be one
+HALF_WINDOW = 0.015
+"""The signals at an instant are means from this long before to this long after it: single samples are noise [s]."""
+_CLEAR_SIGMAS = 3.0  # sigmas of that noise beyond which a change is taken to be one
 
 
 def clock_shift(before: NavState, after: NavState, imu: ImuBatch, transition: Array, noise: ImuNoise) -> Array:
@@ -40,22 +41,22 @@ def clock_shift(before: NavState, after: NavState, imu: ImuBatch, transition: Ar
     start, end = _speed(before, imu), _speed(after, imu)
     shift = end - transition @ start
     span = (after.stamp_ns - before.stamp_ns) * 1e-9
-    variance = 3.0 * noise.gyro**2 / AROUND  # of the difference of two means over three axes
-    force = float(np.linalg.norm(after.g_odom)) + float(np.linalg.norm(end[6:9]))
-    variance_force = 3.0 * noise.accel**2 / AROUND + (force * span) ** 2 * variance
-    if float(shift[0:3] @ shift[0:3]) < _CLEAR**2 * variance:
-        shift[0:3] = 0.0
-    if float(shift[6:9] @ shift[6:9]) < _CLEAR**2 * variance_force:
-        shift[3:9] = 0.0
+    variance = 3.0 * noise.gyro**2 / HALF_WINDOW  # of the difference of two means over three axes
+    force = float(np.linalg.norm(after.g_odom)) + float(np.linalg.norm(end[VELOCITY]))
+    variance_force = 3.0 * noise.accel**2 / HALF_WINDOW + (force * span) ** 2 * variance
+    if float(shift[ROTATION] @ shift[ROTATION]) < _CLEAR_SIGMAS**2 * variance:
+        shift[ROTATION] = 0.0
+    if float(shift[VELOCITY] @ shift[VELOCITY]) < _CLEAR_SIGMAS**2 * variance_force:
+        shift[POSITION] = shift[VELOCITY] = 0.0
     return np.asarray(shift)
 
 
 def _speed(state: NavState, imu: ImuBatch) -> Array:
     """Return how fast the errors' coordinates move, (17,): rotation about body axes, position and velocity in odom."""
     away = np.abs(imu.stamps_ns - state.stamp_ns)
-    near = away <= max(int(AROUND * 1e9), int(away.min()))
-    f = np.zeros(17)
-    f[0:3] = imu.gyro[near].mean(axis=0) - state.gyro_bias
-    f[3:6] = state.v_odom
-    f[6:9] = state.R_odom_imu @ (imu.accel[near].mean(axis=0) - state.accel_bias) + state.g_odom
+    near = away <= max(int(HALF_WINDOW * 1e9), int(away.min()))
+    f = np.zeros(NAV_DIM)
+    f[ROTATION] = imu.gyro[near].mean(axis=0) - state.gyro_bias
+    f[POSITION] = state.v_odom
+    f[VELOCITY] = state.R_odom_imu @ (imu.accel[near].mean(axis=0) - state.accel_bias) + state.g_odom
     return f

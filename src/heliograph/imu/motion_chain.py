@@ -11,17 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.data.error_layout import POSE, POSITION, ROTATION, VELOCITY
 from heliograph.imu.preintegration import Preintegration
 from heliograph.lie import s2, so3
 
-__all__ = ["NODE", "SHARED", "Chain", "Solution", "relax"]
+__all__ = ["LOG_SCALE", "NODE", "SHARED", "Chain", "ChainStep", "relax"]
 
 Array = NDArray[np.float64]
 
 NODE, SHARED = 9, 9
-"""Rotation, position, velocity of an instant; gyro bias, accelerometer bias, gravity direction, log scale of all."""
+"""Rotation, position, velocity of an instant; gyro bias, accelerometer bias, gravity direction, log scale of all.
 
-_POSE = slice(0, 6)
+The first instant's and the shared unknowns together stand as in the error state's layout, with the log scale last.
+"""
+
+LOG_SCALE = NODE + SHARED - 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,9 +58,9 @@ class Chain:
         """Return the chain after a step of ``nodes`` (N + 1, 9) and ``shared`` (9,)."""
         magnitude = float(np.linalg.norm(self.g))
         return Chain(
-            R=self.R @ so3.exp(nodes[:, 0:3]),
-            p=self.p + nodes[:, 3:6],
-            v=self.v + nodes[:, 6:9],
+            R=self.R @ so3.exp(nodes[:, ROTATION]),
+            p=self.p + nodes[:, POSITION],
+            v=self.v + nodes[:, VELOCITY],
             gyro_bias=self.gyro_bias + shared[0:3],
             accel_bias=self.accel_bias + shared[3:6],
             g=magnitude * s2.retract(self.g / magnitude, shared[6:8]),
@@ -65,7 +69,7 @@ class Chain:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Solution:
+class ChainStep:
     """The step that solves the linearised chain, and what is then known.
 
     Parameters
@@ -98,7 +102,7 @@ class Solution:
 
 def relax(
     chain: Chain, deltas: Preintegration, measured: tuple[Array, Array, Array], prior: tuple[Array, Array]
-) -> Solution:
+) -> ChainStep:
     """Return the Gauss-Newton step of the chain, eq. (8) to (11), with covariances.
 
     Parameters
@@ -119,15 +123,15 @@ def relax(
     # Elimination runs from the last instant to the first, so what remains is what a filter begins with.
     H = np.zeros((NODE + SHARED, NODE + SHARED))
     b = np.zeros(NODE + SHARED)
-    H[_POSE, _POSE], b[_POSE] = H_pose[-1], b_pose[-1]
+    H[POSE, POSE], b[POSE] = H_pose[-1], b_pose[-1]
     eliminated = []
     for k in range(len(H_pair) - 1, -1, -1):
         joint_H, joint_b = H_pair[k].copy(), b_pair[k].copy()
         joint_H[NODE:, NODE:] += H
         joint_b[NODE:] += b
         H, b, back = _without_later(joint_H, joint_b)
-        H[_POSE, _POSE] += H_pose[k]
-        b[_POSE] += b_pose[k]
+        H[POSE, POSE] += H_pose[k]
+        b[POSE] += b_pose[k]
         eliminated.append(back)
     information = H.copy()
     H[NODE:, NODE:] += np.diag(weight)
@@ -135,7 +139,7 @@ def relax(
     covariance: Array = np.asarray(np.linalg.inv(H), dtype=np.float64)
     first = -covariance @ b
     nodes, velocity_covariance = _back_substituted(first, covariance, eliminated[::-1])
-    return Solution(
+    return ChainStep(
         nodes=nodes,
         shared=first[NODE:],
         covariance=0.5 * (covariance + covariance.T),
@@ -162,7 +166,7 @@ def _back_substituted(
 ) -> tuple[Array, Array]:
     """Return the steps of all instants and their velocities' covariances, eq. (11)."""
     known, P = first, covariance
-    nodes, velocities = [first[:NODE]], [covariance[6:9, 6:9]]
+    nodes, velocities = [first[:NODE]], [covariance[VELOCITY, VELOCITY]]
     for gain, offset, own in eliminated:
         node = gain @ known + offset
         across = gain @ P[:, NODE:]
@@ -170,7 +174,7 @@ def _back_substituted(
         known = np.concatenate([node, first[NODE:]])
         P = np.block([[P_node, across], [across.T, covariance[NODE:, NODE:]]])
         nodes.append(node)
-        velocities.append(P_node[6:9, 6:9])
+        velocities.append(P_node[VELOCITY, VELOCITY])
     return np.stack(nodes), np.stack(velocities)
 
 

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, Trajectory
+from heliograph.data.error_layout import ACCEL_BIAS, GYRO_BIAS
 from heliograph.errors import DataError
-from heliograph.imu.motion_chain import NODE, SHARED, Chain, Solution, relax
+from heliograph.imu.motion_chain import LOG_SCALE, NODE, SHARED, Chain, ChainStep, relax
 from heliograph.imu.preintegration import Preintegration, preintegrate
 from heliograph.lie import s2, se3, so3
 
-__all__ = ["Excitation", "MotionStart", "align_motion"]
+__all__ = ["ImuExcitation", "MotionStart", "align_motion"]
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ _AXES = "xyz"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Excitation:
+class ImuExcitation:
     """What the body did while it was watched.
 
     Parameters
@@ -85,7 +86,7 @@ class MotionStart:
         direction on S(2), logarithm of the scale.
     information : (18, 18) float64
         Of the data without the priors on biases and scale.
-    excitation : Excitation
+    excitation : ImuExcitation
     misfit : float
         Squared error in units of its variance, on average over the degrees of freedom; about 1 when noise and
         covariances are what they claim to be.
@@ -109,7 +110,7 @@ class MotionStart:
     g_odom: Array
     covariance: Array
     information: Array
-    excitation: Excitation
+    excitation: ImuExcitation
     misfit: float
     iterations: int
     verdict: str
@@ -131,17 +132,17 @@ class MotionStart:
     @property
     def gyro_bias_sigma(self) -> Array:
         """[rad/s], (3,)."""
-        return np.sqrt(np.diag(self.covariance)[9:12])
+        return np.sqrt(np.diag(self.covariance)[GYRO_BIAS])
 
     @property
     def accel_bias_sigma(self) -> Array:
         """[m/s^2], (3,)."""
-        return np.sqrt(np.diag(self.covariance)[12:15])
+        return np.sqrt(np.diag(self.covariance)[ACCEL_BIAS])
 
     @property
     def accel_scale_sigma(self) -> float:
         """Of the scale; its prior's where it was not observed."""
-        return float(self.accel_scale * np.sqrt(self.covariance[17, 17]))
+        return float(self.accel_scale * np.sqrt(self.covariance[LOG_SCALE, LOG_SCALE]))
 
 
 def align_motion(
@@ -225,7 +226,7 @@ def _settled(
     measured: tuple[Array, Array, Array],
     between: Callable[[Array, Array], Preintegration],
     sigmas: Array,
-) -> tuple[Chain, Solution, int, bool]:
+) -> tuple[Chain, ChainStep, int, bool]:
     """Repeat Gauss-Newton steps, each on motion integrated anew with the biases found, until they are negligible."""
     # A scale that is held has the narrowest of priors: the same algebra serves both.
     weight = np.where(np.isfinite(sigmas), np.maximum(sigmas, _HELD_SCALE) ** -2.0, 0.0)
@@ -339,11 +340,11 @@ def _closed_form(
     )
 
 
-def _excitation(stamps: NDArray[np.int64], chain: Chain, imu: ImuBatch, poses: Trajectory) -> Excitation:
+def _excitation(stamps: NDArray[np.int64], chain: Chain, imu: ImuBatch, poses: Trajectory) -> ImuExcitation:
     inside = (imu.stamps_ns >= stamps[0]) & (imu.stamps_ns <= stamps[-1])
     gyro, accel = (imu.gyro[inside], imu.accel[inside]) if inside.any() else (imu.gyro, imu.accel)
     turns = so3.log(chain.R[0].T @ chain.R)
-    return Excitation(
+    return ImuExcitation(
         duration=float(stamps[-1] - stamps[0]) * 1e-9,
         poses=len(poses),
         turned=float(np.linalg.norm(turns, axis=1).max()),
@@ -352,7 +353,7 @@ def _excitation(stamps: NDArray[np.int64], chain: Chain, imu: ImuBatch, poses: T
     )
 
 
-def _unobserved(solution: Solution, sigmas: Array) -> tuple[str, ...]:
+def _unobserved(solution: ChainStep, sigmas: Array) -> tuple[str, ...]:
     """Name what the data left nearly as uncertain as it was before them."""
     after = np.sqrt(np.diag(solution.covariance)[9:18])
     names = [*(f"gyro bias {axis}" for axis in _AXES), *(f"accelerometer bias {axis}" for axis in _AXES)]

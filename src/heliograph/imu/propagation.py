@@ -10,16 +10,12 @@ from numpy.typing import NDArray
 from heliograph import _core
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState
+from heliograph.data.error_layout import CLOCK, DRIFT, NAV
 from heliograph.errors import DataError
 from heliograph.imu.clock_shift import clock_shift
 from heliograph.lie import s2
 
-__all__ = ["NAV_DIM", "ImuPath", "model_numbers", "propagate"]
-
-NAV_DIM = 17
-"""Errors that inertial propagation moves; those of mounting and clock, if estimated, follow."""
-
-_CLOCK, _DRIFT = 23, 24
+__all__ = ["ErrorGrowth", "ImuPath", "Prediction", "model_numbers", "predict", "propagate"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,9 +40,65 @@ class ImuPath:
     held_s: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorGrowth:
+    """What an interval does to the covariance of a state's errors.
+
+    Parameters
+    ----------
+    transition, added : (17, 17) float64
+        F and Q of the errors that inertial propagation moves.
+    clock_shift : (17,) float64 or None
+        Derivative of those by the offset of the IMU's clock at the start; None where it was not asked for.
+    span : float
+        Length of the interval [s].
+    """
+
+    transition: NDArray[np.float64]
+    added: NDArray[np.float64]
+    clock_shift: NDArray[np.float64] | None
+    span: float
+
+    def grown(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the covariance (K, K) at the interval's end from that at its start.
+
+        It is ``F P F^T + Q`` with F and Q over the first 17 errors; those of the mounting only correlate. The clock
+        then makes ``G P G^T`` of it: its offset at the start moves the first 17 errors by ``clock_shift``; a drift
+        moves the offset and, by half of that, the mean over the interval, them too; eq. (11) and (13) of
+        docs/theory/filter.md.
+        """
+        P = covariance.copy()
+        P[NAV] = self.transition @ P[NAV]
+        P[:, NAV] = P[:, NAV] @ self.transition.T
+        P[NAV, NAV] += self.added
+        P = 0.5 * (P + P.T)
+        if self.clock_shift is None:
+            return np.asarray(P)
+        G = np.eye(len(P))
+        G[NAV, CLOCK], G[NAV, DRIFT] = self.clock_shift, 0.5 * self.span * self.clock_shift
+        G[CLOCK, DRIFT] = self.span
+        P = G @ P @ G.T
+        return np.asarray(0.5 * (P + P.T))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """A state carried on: the state at the end, the way there, and what that does to a covariance."""
+
+    state: NavState
+    path: ImuPath
+    growth: ErrorGrowth
+
+
 def propagate(
     state: NavState, imu: ImuBatch, end_ns: int, *, noise: ImuNoise, config: ImuConfig
 ) -> tuple[NavState, ImuPath]:
+    """Return state and path of `predict`; parameters and errors are the same."""
+    ahead = predict(state, imu, end_ns, noise=noise, config=config)
+    return ahead.state, ahead.path
+
+
+def predict(state: NavState, imu: ImuBatch, end_ns: int, *, noise: ImuNoise, config: ImuConfig) -> Prediction:
     """Carry ``state`` to ``end_ns`` on the IMU's samples and grow its covariance.
 
     Samples are interpolated linearly and integrated with the midpoint rule in steps of at most ``config.max_step``. The
@@ -100,10 +152,16 @@ def propagate(
         v_odom=v[-1].copy(),
         imu_offset=state.imu_offset + state.imu_drift * (end_ns - state.stamp_ns) * 1e-9,
     )
-    moved = replace(moved, covariance=_grown(state.covariance, transition, added))
-    if len(state.covariance) > _CLOCK:
-        moved = _with_clock(state, moved, clock_shift(state, moved, imu, transition, noise))
-    return moved, ImuPath(stamps_ns=stamps, R_odom_imu=R, p_odom=p, v_odom=v, held_s=held_s)
+    asked = len(state.covariance) > CLOCK
+    growth = ErrorGrowth(
+        transition=transition,
+        added=added,
+        clock_shift=clock_shift(state, moved, imu, transition, noise) if asked else None,
+        span=(end_ns - state.stamp_ns) * 1e-9,
+    )
+    moved = replace(moved, covariance=growth.grown(state.covariance))
+    path = ImuPath(stamps_ns=stamps, R_odom_imu=R, p_odom=p, v_odom=v, held_s=held_s)
+    return Prediction(state=moved, path=path, growth=growth)
 
 
 def model_numbers(noise: ImuNoise, config: ImuConfig) -> NDArray[np.float64]:
@@ -122,28 +180,3 @@ def model_numbers(noise: ImuNoise, config: ImuConfig) -> NDArray[np.float64]:
             1e9 * config.hold,
         ]
     )
-
-
-def _grown(
-    before: NDArray[np.float64], transition: NDArray[np.float64], added: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return ``F P F^T + Q`` with F and Q over the first `NAV_DIM` errors; what follows them only correlates."""
-    covariance, nav = before.copy(), slice(0, NAV_DIM)
-    covariance[nav] = transition @ covariance[nav]
-    covariance[:, nav] = covariance[:, nav] @ transition.T
-    covariance[nav, nav] += added
-    return np.asarray(0.5 * (covariance + covariance.T))
-
-
-def _with_clock(before: NavState, after: NavState, shift: NDArray[np.float64]) -> NavState:
-    """Return the predicted state ``after`` with ``G P G^T``: what the clock does to a covariance already grown.
-
-    The offset of the start moves the first `NAV_DIM` errors by ``shift`` (17,). A drift over the interval moves the
-    offset, and by half of that, the mean over the interval, them too; eq. (11) and (13) of docs/theory/filter.md.
-    """
-    span = (after.stamp_ns - before.stamp_ns) * 1e-9
-    G = np.eye(len(after.covariance))
-    G[:NAV_DIM, _CLOCK], G[:NAV_DIM, _DRIFT] = shift, 0.5 * span * shift
-    G[_CLOCK, _DRIFT] = span
-    covariance = G @ after.covariance @ G.T
-    return replace(after, covariance=0.5 * (covariance + covariance.T))

@@ -12,7 +12,7 @@ from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch
 from heliograph.errors import DataError
 
-__all__ = ["Grid", "Stretch", "even_stretches", "still_stretches"]
+__all__ = ["Grid", "ImuStretch", "even_stretches", "still_stretches"]
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -29,7 +29,7 @@ _SWAY = 20.0  # how much more than white noise the means of quiet windows may sc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class ImuStretch:
     """Samples at equal steps without a gap.
 
     Parameters
@@ -55,7 +55,7 @@ class Grid:
     ----------
     period : float
         The step [s].
-    stretches : tuple of Stretch
+    stretches : tuple of ImuStretch
         In the order of time.
     filled : int
         Single samples that were missing and were interpolated.
@@ -64,7 +64,7 @@ class Grid:
     """
 
     period: float
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[ImuStretch, ...]
     filled: int
     gaps: int
 
@@ -106,7 +106,7 @@ def even_stretches(imu: ImuBatch) -> Grid:
     cuts = np.flatnonzero(missing > _FILL) + 1
     bounds = np.concatenate([[0], cuts, [n]])
     stretches = tuple(
-        Stretch(begin_ns=int(imu.stamps_ns[first]), samples=_filled(slots[first:last], samples[first:last]))
+        ImuStretch(begin_ns=int(imu.stamps_ns[first]), samples=_filled(slots[first:last], samples[first:last]))
         for first, last in pairwise(bounds.tolist())
     )
     filled = int(missing[missing <= _FILL].sum())
@@ -173,7 +173,7 @@ def still_stretches(grid: Grid, config: ImuConfig) -> Grid:
         return replace(grid, stretches=())
     joined = pairs & (jumps <= _JUMP * usual + finest).all(axis=1)
     least = int(np.ceil(_LEAST_REST / (size * grid.period)))
-    kept: list[Stretch] = []
+    kept: list[ImuStretch] = []
     for stretch, first, last in zip(grid.stretches, counts[:-1], counts[1:], strict=True):
         kept += _runs(stretch, calm[first:last], joined[first : max(last - 1, first)], size, least, grid.period)
     return replace(grid, stretches=tuple(kept))
@@ -216,7 +216,7 @@ def _finest_step(grid: Grid, channel: int) -> float:
     return float(changes.min()) if len(changes) else 0.0
 
 
-def _runs(stretch: Stretch, calm: Flags, joined: Flags, size: int, least: int, period: float) -> list[Stretch]:
+def _runs(stretch: ImuStretch, calm: Flags, joined: Flags, size: int, least: int, period: float) -> list[ImuStretch]:
     """Return the runs of calm windows without a jump; one window is given up at each end that borders on motion."""
     runs, first, count = [], 0, len(calm)
     for k in range(count):
@@ -228,6 +228,6 @@ def _runs(stretch: Stretch, calm: Flags, joined: Flags, size: int, least: int, p
         if end - begin >= least:
             stop = len(stretch) if at_end else end * size
             at = stretch.begin_ns + round(1e9 * period * begin * size)
-            runs.append(Stretch(begin_ns=at, samples=stretch.samples[begin * size : stop]))
+            runs.append(ImuStretch(begin_ns=at, samples=stretch.samples[begin * size : stop]))
         first = k + 1
     return runs

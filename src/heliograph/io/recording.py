@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -11,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import InputConfig
-from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, Rig, Scan
+from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, ImuRecord, Rig, Scan
 from heliograph.errors import CalibrationError, ConfigError, DataError, closest
 from heliograph.io.bags.rosbag import RosbagSource
 from heliograph.io.inference.imu_units import is_usable
@@ -25,6 +27,7 @@ from heliograph.io.tally import StreamTally
 __all__ = ["Recording", "open_recording"]
 
 _FURTHEST_DRIFT = 0.02  # that a clock found at another time may have gone since [s]
+_WATCH_EVERY = 1000  # samples
 BATCH = 256  # samples; bounds how long an estimator waits where no scan comes
 Measurement = Scan | ImuBatch | GnssFix
 
@@ -192,6 +195,45 @@ class Recording:
         for message in self._messages(frozenset({topic} if topic else ())):
             if isinstance(message, RawImu):
                 yield message
+
+    def imu_record(self, watch: Callable[[str, int], None] = lambda _what, _done: None) -> ImuRecord:
+        """Read the IMU once through and return all its messages as they were recorded.
+
+        Parameters
+        ----------
+        watch : callable
+            Called with ``"IMU samples"`` and how many were read, now and then.
+
+        Raises
+        ------
+        DataError
+            None came, although the recording announces some.
+        """
+        stamps, received, values = array("q"), array("q"), array("d")
+        with closing(self.raw_imu()) as samples:  # type: ignore[type-var]
+            for sample in samples:
+                stamps.append(sample.stamp_ns)
+                received.append(sample.received_ns)
+                values.extend((*sample.gyro, *sample.accel))
+                if len(stamps) % _WATCH_EVERY == 0:
+                    watch("IMU samples", len(stamps))
+        found, units = self.interpretation, self.interpretation.units
+        if not stamps or units is None:
+            raise DataError(f"{self.description}: {found.imu} holds no sample; `heliograph info` lists the topics")
+        taken = {inference.name: inference.value for inference in units.inferences}
+        six = np.frombuffer(values, dtype=np.float64).reshape(-1, 6)
+        return ImuRecord(
+            stamps_ns=np.array(stamps, dtype=np.int64),
+            received_ns=np.array(received, dtype=np.int64),
+            gyro=np.ascontiguousarray(six[:, :3]),
+            accel=np.ascontiguousarray(six[:, 3:]),
+            gyro_unit=taken.get("gyroscope unit", "rad/s"),
+            accel_unit=taken.get("accelerometer unit", "m/s^2"),
+            gyro_factor=units.gyro,
+            accel_factor=units.accel,
+            stamp=found.imu_stamp,
+            topic=found.imu or "imu",
+        )
 
     def survey(self) -> StreamTally:
         """Read the whole recording without converting it, and return the counts of its streams."""

@@ -8,7 +8,10 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LocalMap", "PlaneMatches"]
+__all__ = ["NEIGHBOURS", "LocalMap", "PlaneMatches"]
+
+NEIGHBOURS = 255
+"""Source of a plane through nearest neighbours."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,9 +25,9 @@ class PlaneMatches:
     point : (N, 3) float64
         A point of each plane, odom frame [m].
     variance : (N,) float32
-        Of the plane across itself at the query [m^2].
+        Variance of the plane across itself at the query [m^2].
     source : (N,) uint8
-        0 no plane, 255 a plane through nearest neighbours, else 1 + the map's level.
+        0 no plane, `NEIGHBOURS` a plane through nearest neighbours, else 1 + the map's level.
     """
 
     normal: NDArray[np.float32]
@@ -35,7 +38,12 @@ class PlaneMatches:
 
 @runtime_checkable
 class LocalMap(Protocol):
-    """The part of the world around the sensor that scans are matched against. It changes only by its verbs."""
+    """The part of the world around the sensor that scans are matched against. It changes only by its verbs.
+
+    These verbs are all that the filter asks, with mounting and clock estimated too: what an error of the mounting does
+    to a map follows from the pose that it was begun at, which the filter knows, and a map that was made with a wrong
+    mounting is cleared.
+    """
 
     def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:
         """Add points (N, 3) of the body frame seen from the pose (4, 4).
@@ -47,6 +55,10 @@ class LocalMap(Protocol):
 
     def prune(self, centre_odom: NDArray[np.float64]) -> None:
         """Forget what lies farther from ``centre_odom`` (3,) than the map's bound, and what exceeds its count."""
+        ...
+
+    def clear(self) -> None:
+        """Forget everything: the next insertion begins a new map."""
         ...
 
     def planes_at(self, points_odom: NDArray[np.float64], *, gate: float) -> PlaneMatches:

@@ -25,29 +25,24 @@ class VoxelMap:
 
     Parameters
     ----------
-    config : MapConfig
+    config : MapConfig, optional
+        Cubes, planes and bounds; the default is that of a run.
     """
 
     def __init__(self, config: MapConfig | None = None) -> None:
         self.config = config if config is not None else MapConfig()
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: the next insertion begins a new map."""
         c = self.config
         self.native = _core.VoxelMap(
             c.voxel, c.levels, c.min_points, c.max_points, c.max_thickness, c.min_spread, c.point_spacing
         )
 
-    def insert(
-        self,
-        points_body: NDArray[np.float32],
-        T_odom_body: NDArray[np.float64],
-        T_body_lidar: NDArray[np.float64] | None = None,
-    ) -> float:
-        """Add points (N, 3) of the body frame seen from the pose (4, 4) and return the new share of the cubes touched.
-
-        ``T_body_lidar`` (4, 4) is the mounting that they were brought into the body frame with; needed where it is
-        estimated.
-        """
-        mounting = np.eye(4) if T_body_lidar is None else np.ascontiguousarray(T_body_lidar)
-        return float(self.native.insert(np.ascontiguousarray(points_body), np.ascontiguousarray(T_odom_body), mounting))
+    def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:
+        """Add points (N, 3) of the body frame seen from the pose (4, 4); return the new share of the cubes touched."""
+        return float(self.native.insert(np.ascontiguousarray(points_body), np.ascontiguousarray(T_odom_body)))
 
     def prune(self, centre_odom: NDArray[np.float64]) -> None:
         """Forget cubes beyond ``config.radius`` of ``centre_odom`` (3,), and the farthest of too many."""

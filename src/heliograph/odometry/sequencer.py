@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.data import Event, GnssFix, ImuBatch, Scan
 
@@ -27,15 +26,13 @@ class ImuBuffer:
     """The recent inertial samples, as one growing and forgetting array."""
 
     def __init__(self) -> None:
-        self._stamps: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._gyro: NDArray[np.float64] = np.zeros((0, 3))
-        self._accel: NDArray[np.float64] = np.zeros((0, 3))
+        self._held = ImuBatch.joined([])
         self._pending: list[ImuBatch] = []
         self.last_ns: int | None = None
         self.period_ns = 10_000_000
 
     def __len__(self) -> int:
-        return len(self._stamps) + sum(len(batch) for batch in self._pending)
+        return len(self._held) + sum(len(batch) for batch in self._pending)
 
     def append(self, batch: ImuBatch) -> None:
         """Add samples that follow the ones held."""
@@ -48,36 +45,26 @@ class ImuBuffer:
 
     def _merge(self) -> None:
         if self._pending:
-            self._stamps = np.concatenate([self._stamps, *[batch.stamps_ns for batch in self._pending]])
-            self._gyro = np.concatenate([self._gyro, *[batch.gyro for batch in self._pending]])
-            self._accel = np.concatenate([self._accel, *[batch.accel for batch in self._pending]])
+            self._held = ImuBatch.joined([self._held, *self._pending])
             self._pending = []
 
     def between(self, start_ns: int, end_ns: int) -> ImuBatch:
         """Return the samples inside the interval with one more on either side, where there is one."""
         self._merge()
-        first = max(int(np.searchsorted(self._stamps, start_ns, side="right")) - 1, 0)
-        last = int(np.searchsorted(self._stamps, end_ns, side="left")) + 1
-        return self._slice(first, last)
+        first = max(int(np.searchsorted(self._held.stamps_ns, start_ns, side="right")) - 1, 0)
+        last = int(np.searchsorted(self._held.stamps_ns, end_ns, side="left")) + 1
+        return self._held[first:last]
 
     def everything(self) -> ImuBatch:
         """Return all samples held."""
         self._merge()
-        return self._slice(0, len(self._stamps))
+        return self._held
 
     def forget_before(self, stamp_ns: int) -> None:
         """Drop the samples that no interval from ``stamp_ns`` on needs."""
         self._merge()
-        first = max(int(np.searchsorted(self._stamps, stamp_ns, side="right")) - 1, 0)
-        self._stamps, self._gyro, self._accel = self._stamps[first:], self._gyro[first:], self._accel[first:]
-
-    def _slice(self, first: int, last: int) -> ImuBatch:
-        return ImuBatch(
-            stamps_ns=self._stamps[first:last],
-            gyro=self._gyro[first:last],
-            accel=self._accel[first:last],
-            received_ns=0,
-        )
+        first = max(int(np.searchsorted(self._held.stamps_ns, stamp_ns, side="right")) - 1, 0)
+        self._held = self._held[first:]
 
 
 class Sequencer:

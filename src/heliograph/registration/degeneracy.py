@@ -47,14 +47,15 @@ def observability(equations: NormalEquations, mean_square_range: float) -> Obser
     Parameters
     ----------
     equations : NormalEquations
-        The first six columns are used.
+        Its block of the pose is used.
     mean_square_range : float
         Mean of the points' squared distances [m^2].
     """
     if equations.weight <= 0.0:
         zero, eye = np.zeros(3), np.eye(3)
         return Observability(rotation=zero, translation=zero, rotation_directions=eye, translation_directions=eye)
-    H = equations.information[:6, :6] / equations.weight
+    pose = equations.columns_of("pose")
+    H = equations.information[pose, pose] / equations.weight
     rotation, rotation_directions = np.linalg.eigh(H[:3, :3] / max(mean_square_range, 1e-12))
     translation, translation_directions = np.linalg.eigh(H[3:, 3:])
     return Observability(

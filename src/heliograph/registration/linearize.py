@@ -10,9 +10,20 @@ from numpy.typing import NDArray
 
 from heliograph import _core
 from heliograph.errors import ConfigError
-from heliograph.maps import LocalMap, PlaneMatches, VoxelMap
+from heliograph.maps import NEIGHBOURS, LocalMap, PlaneMatches, VoxelMap
 
-__all__ = ["MatchSettings", "NormalEquations", "gradient_scatter", "linearize"]
+__all__ = ["BLOCKS", "MapMounting", "MatchSettings", "NormalEquations", "gradient_scatter", "linearize"]
+
+
+BLOCKS = ("pose", "motion", "mounting")
+"""What the columns of the normal equations may be, in their order, six each.
+
+``"pose"``: rotation about body axes (right perturbation) and position along odom axes; always there. ``"motion"``:
+velocity along odom axes and gyroscope bias. ``"mounting"``: rotation about lidar axes (right) and lever arm along imu
+axes.
+"""
+
+_BLOCK = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,16 +39,12 @@ class MatchSettings:
     sigma : float
         Noise of one measurement across its plane [m].
     fallback_stride : int
-        One of so many points without a plane asks for its neighbours; 0: none.
+        Every ``fallback_stride``-th point without a plane asks for its neighbours; 0: none.
     residual : str
         ``"plane"``, or ``"point"``: the distance to the nearest stored point, for comparison only. Its information is
         the identity whatever the geometry, so it cannot see a degenerate one.
-    mounting : bool
-        Also by the mounting's rotation and lever arm.
-    both : bool
-        Whether a mounting leaves the columns of the motion in place, instead of taking theirs.
     threads : int
-        Of the native loop; the result does not depend on it.
+        Threads of the native loop; the result does not depend on them.
     """
 
     gate: float
@@ -45,15 +52,23 @@ class MatchSettings:
     sigma: float
     fallback_stride: int = 1
     residual: str = "plane"
-    mounting: bool = False
-    both: bool = False
     threads: int = 1
 
 
-_COLUMNS_POSE = np.arange(6)
-_COLUMNS_MOTION = np.arange(12)
-_COLUMNS_MOUNTING = np.concatenate([np.arange(6), np.arange(17, 23)])
-_COLUMNS_BOTH = np.concatenate([np.arange(12), np.arange(17, 23)])
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapMounting:
+    """The mounting behind a map whose points it brought into the body frame.
+
+    Parameters
+    ----------
+    T_imu_lidar : (4, 4) float64
+        The mounting that map and scan were made with [m].
+    T_odom_imu_first : (4, 4) float64
+        Pose that the map was begun at [m].
+    """
+
+    T_imu_lidar: NDArray[np.float64]
+    T_odom_imu_first: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,9 +77,8 @@ class NormalEquations:
 
     Parameters
     ----------
-    columns : (C,) int
-        Which errors of the filter's state the columns are: rotation (body) and position (odom), then velocity (odom)
-        and gyro bias, or mounting rotation (lidar) and lever arm (imu), or all of these.
+    blocks : tuple of str
+        What the columns are, six each, out of `BLOCKS` in that order.
     information : (C, C) float64
         Sum of ``w / s^2 J^T J``.
     gradient : (C,) float64
@@ -79,9 +93,9 @@ class NormalEquations:
         Points with a plane, those of them with one through neighbours, and all that asked.
     """
 
+    blocks: tuple[str, ...]
     information: NDArray[np.float64]
     gradient: NDArray[np.float64]
-    columns: NDArray[np.intp]
     weight: float
     robust_weight: float
     square: float
@@ -95,15 +109,20 @@ class NormalEquations:
         """Robust root mean square of the residuals [m]; NaN without matches."""
         return float(np.sqrt(self.square / self.robust_weight)) if self.robust_weight > 0.0 else float("nan")
 
+    def columns_of(self, block: str) -> slice:
+        """Return where the columns of a block stand."""
+        first = _BLOCK * self.blocks.index(block)
+        return slice(first, first + _BLOCK)
+
 
 def linearize(
     local_map: LocalMap,
     points_imu: NDArray[np.float32],
     T_odom_imu: NDArray[np.float64],
-    T_imu_lidar: NDArray[np.float64],
     settings: MatchSettings,
     *,
     before_end: NDArray[np.float32] | None = None,
+    mounted: MapMounting | None = None,
 ) -> NormalEquations:
     """Match points to the map at a pose and return the normal equations of the residuals.
 
@@ -120,11 +139,14 @@ def linearize(
         A `VoxelMap` is searched natively; any other is asked for planes and summed with NumPy.
     points_imu : (N, 3) float32
         De-skewed, imu frame at the sweep's end [m].
-    T_odom_imu, T_imu_lidar : (4, 4) float64
-        Pose to linearise at, and mounting.
+    T_odom_imu : (4, 4) float64
+        Pose to linearise at.
     settings : MatchSettings
     before_end : (N,) float32, optional
-        Time of each point before the sweep's end [s]; needed for the columns of the motion.
+        Time of each point before the sweep's end [s]; adds the columns of the motion.
+    mounted : MapMounting, optional
+        Adds the columns of the mounting. Planes through neighbours tell nothing about it: their points come from
+        several poses.
 
     Raises
     ------
@@ -133,44 +155,50 @@ def linearize(
     """
     if settings.residual not in ("plane", "point"):
         raise ConfigError(f"residual '{settings.residual}' is not one of 'plane', 'point'")
-    motion = before_end is not None and (settings.both or not settings.mounting)
-    if not isinstance(local_map, VoxelMap):
-        if settings.mounting:
-            raise ConfigError(
-                "the mounting can be estimated with the voxel map only; give the transform with --extrinsic"
-            )
-        return _linearize_any(local_map, points_imu, T_odom_imu, settings, before_end if motion else None)
+    if isinstance(local_map, VoxelMap):
+        return _linearize_native(local_map, points_imu, T_odom_imu, settings, before_end, mounted)
+    return _linearize_any(local_map, points_imu, T_odom_imu, settings, before_end, mounted)
+
+
+def _blocks(before_end: NDArray[np.float32] | None, mounted: MapMounting | None) -> tuple[str, ...]:
+    there = {"pose": True, "motion": before_end is not None, "mounting": mounted is not None}
+    return tuple(block for block in BLOCKS if there[block])
+
+
+def _linearize_native(
+    local_map: VoxelMap,
+    points_imu: NDArray[np.float32],
+    T_odom_imu: NDArray[np.float64],
+    settings: MatchSettings,
+    before_end: NDArray[np.float32] | None,
+    mounted: MapMounting | None,
+) -> NormalEquations:
+    unused = np.eye(4)
     scan = (
         local_map.native,
         points_imu,
-        before_end if before_end is not None and motion else np.zeros(0, np.float32),
+        before_end if before_end is not None else np.zeros(0, np.float32),
         np.ascontiguousarray(T_odom_imu),
-        np.ascontiguousarray(T_imu_lidar),
+        np.ascontiguousarray(mounted.T_imu_lidar) if mounted is not None else unused,
+        np.ascontiguousarray(mounted.T_odom_imu_first) if mounted is not None else unused,
         settings.gate,
         settings.kernel,
         settings.sigma,
     )
-    errors = _errors(mounting=settings.mounting, motion=motion)
+    asked = (before_end is not None, mounted is not None, settings.threads)
     if settings.residual == "plane":
-        stride, reach = settings.fallback_stride, local_map.config.fallback_range
-        sums = _core.match_planes(*scan, stride, reach, len(errors), settings.threads)
+        sums = _core.match_planes(*scan, settings.fallback_stride, local_map.config.fallback_range, *asked)
     else:
-        sums = _core.match_points(*scan, len(errors), settings.threads)
-    return _from_sums(sums, errors, len(points_imu))
+        sums = _core.match_points(*scan, *asked)
+    return _from_sums(sums, _blocks(before_end, mounted), len(points_imu))
 
 
-def _errors(*, mounting: bool, motion: bool) -> NDArray[np.intp]:
-    if mounting:
-        return _COLUMNS_BOTH if motion else _COLUMNS_MOUNTING
-    return _COLUMNS_MOTION if motion else _COLUMNS_POSE
-
-
-def _from_sums(sums: tuple[Any, ...], columns: NDArray[np.intp], queries: int) -> NormalEquations:
+def _from_sums(sums: tuple[Any, ...], blocks: tuple[str, ...], queries: int) -> NormalEquations:
     """Name what the native kernels return."""
     return NormalEquations(
+        blocks=blocks,
         information=sums[0],
         gradient=sums[1],
-        columns=columns,
         weight=sums[2],
         robust_weight=sums[3],
         square=sums[4],
@@ -198,14 +226,19 @@ def _matched(
     T: NDArray[np.float64],
     settings: MatchSettings,
     before_end: NDArray[np.float32] | None = None,
+    mounted: MapMounting | None = None,
 ) -> _Matches:
     some = found.source > 0
     p, n = points[some], found.normal[some].astype(np.float64)
-    r = np.einsum("ij,ij->i", n, p @ T[:3, :3].T + T[:3, 3] - found.point[some])
+    q = p @ T[:3, :3].T + T[:3, 3]
+    r = np.einsum("ij,ij->i", n, q - found.point[some])
     columns = [np.cross(p, n @ T[:3, :3]), n]
     if before_end is not None:
         dt = before_end[some, None].astype(np.float64)
         columns += [-dt * n, dt * columns[0]]
+    if mounted is not None:
+        here, first = (_mounting_columns(q, n, X, mounted.T_imu_lidar) for X in (T, mounted.T_odom_imu_first))
+        columns.append(np.where(found.source[some, None] == NEIGHBOURS, 0.0, here - first))
     c2 = settings.kernel**2
     return _Matches(
         J=np.hstack(columns),
@@ -214,6 +247,16 @@ def _matched(
         inv_var=np.asarray(1.0 / (settings.sigma**2 + found.variance[some]), dtype=np.float64),
         source=found.source[some],
     )
+
+
+def _mounting_columns(
+    q: NDArray[np.float64], n: NDArray[np.float64], T_odom_imu: NDArray[np.float64], T_imu_lidar: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return how far a mounting error moves points q (M, 3) seen from a pose along n (M, 3), odom frame, (M, 6)."""
+    m = n @ T_odom_imu[:3, :3]
+    p_imu = (q - T_odom_imu[:3, 3]) @ T_odom_imu[:3, :3]
+    p_lidar = (p_imu - T_imu_lidar[:3, 3]) @ T_imu_lidar[:3, :3]
+    return np.hstack([np.cross(p_lidar, m @ T_imu_lidar[:3, :3]), m])
 
 
 def gradient_scatter(
@@ -237,25 +280,26 @@ def _linearize_any(
     T_odom_imu: NDArray[np.float64],
     settings: MatchSettings,
     before_end: NDArray[np.float32] | None,
+    mounted: MapMounting | None,
 ) -> NormalEquations:
     """Do the same for a user's own map, in NumPy."""
     if settings.residual == "point":
         raise ConfigError("point-to-point residuals exist for the voxel map only; use residual 'plane'")
     p = points_imu.astype(np.float64)
     planes = local_map.planes_at(p @ T_odom_imu[:3, :3].T + T_odom_imu[:3, 3], gate=settings.gate)
-    found = _matched(planes, p, T_odom_imu, settings, before_end)
+    found = _matched(planes, p, T_odom_imu, settings, before_end, mounted)
     r, w, c2 = found.r, found.w, settings.kernel**2
     rho = 0.5 * r * r * (c2 / (c2 + r * r) if c2 > 0.0 else 1.0)
     weighted = found.J * (w * found.inv_var)[:, None]
     return NormalEquations(
+        blocks=_blocks(before_end, mounted),
         information=weighted.T @ found.J,
         gradient=weighted.T @ r,
-        columns=_errors(mounting=False, motion=before_end is not None),
         weight=float((w * found.inv_var).sum()),
         robust_weight=float(w.sum()),
         square=float((w * r * r).sum()),
         cost=float((rho * found.inv_var).sum()),
         matches=len(r),
-        fallback_matches=int((found.source == 255).sum()),
+        fallback_matches=int((found.source == NEIGHBOURS).sum()),
         queries=len(points_imu),
     )

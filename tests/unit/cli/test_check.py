@@ -105,5 +105,5 @@ def test_interrupted_check_returns_130(call, recording, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("heliograph.checkup.read_imu", interrupt)
+    monkeypatch.setattr("heliograph.io.recording.Recording.imu_record", interrupt)
     assert call("check", recording)[:2] == (130, "")

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from heliograph.errors import DataError
 from heliograph.imu.allan import allan_curve, degrees_of_freedom
 from heliograph.imu.noise_terms import allan_variance
-from heliograph.imu.stretches import Grid, Stretch
+from heliograph.imu.stretches import Grid, ImuStretch
 from imu_noise import draw, grid_of
 from reference.allan import allan_deviation_slowly
 
@@ -73,7 +73,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 def test_stretches_are_pooled_by_their_differences(rng):
     whole = rng.normal(size=(900, 6))
-    parts = (Stretch(begin_ns=0, samples=whole[:600]), Stretch(begin_ns=0, samples=whole[600:]))
+    parts = (ImuStretch(begin_ns=0, samples=whole[:600]), ImuStretch(begin_ns=0, samples=whole[600:]))
     both = allan_curve(Grid(period=PERIOD, stretches=parts, filled=0, gaps=1))
     alone = [allan_curve(Grid(period=PERIOD, stretches=(part,), filled=0, gaps=0)) for part in parts]
     squares = [curve.deviation[4] ** 2 * curve.terms[4] for curve in alone]

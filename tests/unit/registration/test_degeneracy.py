@@ -25,7 +25,7 @@ def seen(rng, walls, *, scale=1.0, R=None, residual="plane"):
     local_map.insert(cloud, np.eye(4))
     some = np.ascontiguousarray(cloud[:: len(cloud) // 2000])
     settings = replace(SETTINGS, residual=residual, gate=3.0 if residual == "point" else 0.3)
-    equations = linearize(local_map, some, np.eye(4), np.eye(4), settings)
+    equations = linearize(local_map, some, np.eye(4), settings)
     assert equations.matches > 1000
     return observability(equations, float(np.mean(np.sum(some**2, axis=1))))
 
@@ -74,7 +74,7 @@ def test_eigenvalues_do_not_depend_on_the_number_of_points(rng):
 
     def equations(copies):
         return NormalEquations(
-            information=copies * J.T @ J, gradient=np.zeros(6), columns=np.arange(6), weight=4.0 * copies,
+            information=copies * J.T @ J, gradient=np.zeros(6), blocks=("pose",), weight=4.0 * copies,
             robust_weight=4.0, square=0.0, cost=0.0, matches=4, fallback_matches=0, queries=4,
         )  # fmt: skip
 
@@ -90,7 +90,7 @@ def test_point_to_point_cannot_see_a_corridor(rng):
 
 
 def test_no_match_sees_nothing():
-    empty = linearize(VoxelMap(), np.ones((3, 3), np.float32), np.eye(4), np.eye(4), SETTINGS)
+    empty = linearize(VoxelMap(), np.ones((3, 3), np.float32), np.eye(4), SETTINGS)
     found = observability(empty, 1.0)
     assert not found.translation.any()
     assert not found.rotation.any()

@@ -1,7 +1,7 @@
 """Mounting and clock as states that only excited motion may move.
 
 A state that the motion does not tell is moved all the same by what the model leaves out, and ends far away with a small
-sigma. Here a second covariance, that of the filter if it believed everything, says what the scans have told about each
+sigma. Here a second covariance, that of the filter if it let everything move, says what the scans have told about each
 direction. Until that is enough the direction is considered: its uncertainty counts, its value stays (S. Schmidt, 1966).
 """
 
@@ -13,22 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import FilterConfig
-from heliograph.data import ImuBatch, NavState, OnlineCalibration, Rig
-from heliograph.odometry.filter.error_state import CLOCK, DRIFT, MOUNTING
-from heliograph.odometry.filter.motion import MotionModel
+from heliograph.data import NavState, OnlineCalibration, Rig
+from heliograph.data.error_layout import CALIBRATION, CLOCK, DRIFT, FULL_DIM, MOUNTING
+from heliograph.imu import ErrorGrowth
 from heliograph.odometry.filter.update import Linearization, embedded
 
-__all__ = ["CALIBRATION", "CalibrationGate", "uncertain_rig", "with_calibration"]
+__all__ = ["CalibrationGate", "uncertain_rig", "with_calibration"]
 
 Array = NDArray[np.float64]
 
-CALIBRATION = slice(MOUNTING.start, DRIFT + 1)
-"""The errors that are gated: rotation about lidar axes, lever arm along imu axes, clock offset, clock drift."""
-_SEEN = slice(MOUNTING.start, CLOCK + 1)  # what scans measure; the drift only changes one of them with time
+_MEASURED = slice(MOUNTING.start, CLOCK + 1)  # what scans measure; the drift only changes one of them with time
 
 
 def uncertain_rig(rig: Rig, config: FilterConfig) -> Rig:
-    """Return the mounting that the start is told: one to be estimated is no more than a good guess."""
+    """Return the mounting that the start uses: one to be estimated is no more than a good guess."""
     if not (rig.known and config.estimate_mounting):
         return rig
     return replace(
@@ -43,7 +41,7 @@ def with_calibration(state: NavState, config: FilterConfig) -> NavState:
     """Return a start with the errors of mounting and clock; one that is not estimated is known exactly."""
     if not (config.estimate_mounting or config.estimate_time_offset):
         return state
-    covariance, size = np.zeros((DRIFT + 1, DRIFT + 1)), len(state.covariance)
+    covariance, size = np.zeros((FULL_DIM, FULL_DIM)), len(state.covariance)
     covariance[:size, :size] = state.covariance
     if config.estimate_time_offset:
         covariance[CLOCK, CLOCK] = config.time_offset_sigma**2
@@ -58,11 +56,11 @@ class CalibrationGate:
     Parameters
     ----------
     covariance : (25, 25) float64
-        Of a filter that lets every direction move.
+        Covariance of a filter that lets every direction move.
     prior_sigma : (8,) float64
-        Of mounting and clock at the start; 0 for what is not estimated.
+        Sigmas of mounting and clock at the start; 0 for what is not estimated.
     gain : float
-        A direction opens when it is known so many times better than its prior.
+        A direction opens when its sigma has fallen to its prior's by this factor.
     """
 
     covariance: Array
@@ -70,17 +68,14 @@ class CalibrationGate:
     gain: float
 
     @classmethod
-    def at_start(cls, state: NavState, config: FilterConfig) -> CalibrationGate | None:
-        """Return the gate of a start, None where it has no calibration to gate."""
-        if len(state.covariance) <= CLOCK:
-            return None
+    def at_start(cls, state: NavState, config: FilterConfig) -> CalibrationGate:
+        """Return the gate of a start with the errors of mounting and clock."""
         sigma = np.sqrt(np.diag(state.covariance)[CALIBRATION])
         return cls(covariance=state.covariance, prior_sigma=sigma, gain=config.calibration_gain)
 
-    def predicted(self, motion: MotionModel, state: NavState, imu: ImuBatch, end_ns: int) -> CalibrationGate:
-        """Return the gate after the motion to ``end_ns``."""
-        moved, _ = motion.predict(replace(state, covariance=self.covariance), imu, end_ns)
-        return replace(self, covariance=moved.covariance)
+    def predicted(self, growth: ErrorGrowth) -> CalibrationGate:
+        """Return the gate after a prediction; the errors grow as those of the state do."""
+        return replace(self, covariance=growth.grown(self.covariance))
 
     def updated(self, measurement: Linearization) -> CalibrationGate:
         """Return the gate after a scan."""
@@ -107,13 +102,13 @@ class CalibrationGate:
         Eq. (14) of docs/theory/filter.md. The drift has a direction of its own: mixed with the offset that it carries
         away, a drift not told yet would hold back an offset that is.
         """
-        seen = np.flatnonzero(self.prior_sigma[:-1] > 0.0)
-        scale = self.prior_sigma[seen]
-        block = self.covariance[_SEEN, _SEEN][np.ix_(seen, seen)] / np.outer(scale, scale)
+        measured = np.flatnonzero(self.prior_sigma[:-1] > 0.0)
+        scale = self.prior_sigma[measured]
+        block = self.covariance[_MEASURED, _MEASURED][np.ix_(measured, measured)] / np.outer(scale, scale)
         # The marginal covariance of this block has what pose, velocity, biases and drift leave open in it already.
         values, vectors = np.linalg.eigh(np.linalg.inv(block))
         directions = np.zeros((len(self.prior_sigma), len(scale)))
-        directions[seen] = vectors
+        directions[measured] = vectors
         if self.prior_sigma[-1] > 0.0:
             values = np.append(values, self.prior_sigma[-1] ** 2 / self.covariance[DRIFT, DRIFT])
             directions = np.column_stack([directions, np.eye(len(self.prior_sigma))[-1]])

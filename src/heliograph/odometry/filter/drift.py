@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import NavState
+from heliograph.data.error_layout import POSE, POSITION, ROTATION
 from heliograph.lie import so3
 
 __all__ = ["MapDrift"]
 
 Array = NDArray[np.float64]
 
-_LEVER = 6.0
+_SYSTEMATIC_LEVER = 6.0
 """Distance at which a systematic turn and a systematic shift move points alike [m]."""
 
 
@@ -48,20 +49,20 @@ class MapDrift:
             return  # the first scan's pose is exact by definition: its map counts at the first pose that leans on it
         M = _frame_by_pose(state)
         position = self._systematic * sigma
-        B = np.diag([(position / _LEVER) ** 2] * 3 + [position**2] * 3)
-        self._frame += self._pending * M @ (state.covariance[:6, :6] + B) @ M.T
+        B = np.diag([(position / _SYSTEMATIC_LEVER) ** 2] * 3 + [position**2] * 3)
+        self._frame += self._pending * M @ (state.covariance[POSE, POSE] + B) @ M.T
         self._pending = 0.0
 
     def pose_covariance(self, state: NavState) -> Array:
         """Return the covariance of rotation (body) and position (odom) of ``state`` against the odom origin, (6, 6)."""
         N = np.linalg.inv(_frame_by_pose(state))
-        total = state.covariance[:6, :6] + N @ self._frame @ N.T
+        total = state.covariance[POSE, POSE] + N @ self._frame @ N.T
         return np.asarray(0.5 * (total + total.T))
 
 
 def _frame_by_pose(state: NavState) -> Array:
     """Return d (rotation, translation of the frame about its origin) / d (rotation in body, position), (6, 6)."""
     M = np.eye(6)
-    M[:3, :3] = state.R_odom_imu
-    M[3:, :3] = so3.hat(state.p_odom) @ state.R_odom_imu
+    M[ROTATION, ROTATION] = state.R_odom_imu
+    M[POSITION, ROTATION] = so3.hat(state.p_odom) @ state.R_odom_imu
     return M

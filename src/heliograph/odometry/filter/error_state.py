@@ -1,7 +1,6 @@
 """The error state: how a correction is applied to a navigation state, and how two states differ.
 
-Order: rotation (right perturbation), position, velocity, gyro bias, accelerometer bias, gravity direction on S(2)
-[, mounting rotation (right), lever arm [, offset of the IMU's clock at the state's stamp, its drift]].
+`heliograph.data.error_layout` says which error stands where.
 """
 
 from __future__ import annotations
@@ -12,16 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import NavState
+from heliograph.data.error_layout import (
+    ACCEL_BIAS,
+    CLOCK,
+    DRIFT,
+    GRAVITY,
+    GYRO_BIAS,
+    LEVER_ARM,
+    MOUNTING,
+    MOUNTING_ROTATION,
+    NAV_DIM,
+    POSITION,
+    ROTATION,
+    VELOCITY,
+)
 from heliograph.lie import s2, so3
 
-__all__ = ["CLOCK", "DRIFT", "MOUNTING", "NAV_DIM", "local", "mounting_error", "reset_jacobian", "retract"]
+__all__ = ["local", "mounting_error", "reset_jacobian", "retract"]
 
 Array = NDArray[np.float64]
-
-NAV_DIM = 17
-MOUNTING = slice(17, 23)
-CLOCK, DRIFT = 23, 24
-"""Where the errors of mounting, clock offset and clock drift are, if the state has them."""
 
 
 def retract(state: NavState, delta: Array) -> NavState:
@@ -29,20 +37,20 @@ def retract(state: NavState, delta: Array) -> NavState:
     magnitude = float(np.linalg.norm(state.g_odom))
     g_odom = state.g_odom
     if magnitude > 0.0:
-        g_odom = magnitude * s2.retract(state.g_odom / magnitude, delta[15:17])
+        g_odom = magnitude * s2.retract(state.g_odom / magnitude, delta[GRAVITY])
     T_imu_lidar = state.T_imu_lidar
     if len(delta) > NAV_DIM:
         T_imu_lidar = T_imu_lidar.copy()
-        T_imu_lidar[:3, :3] = T_imu_lidar[:3, :3] @ so3.exp(delta[17:20])
-        T_imu_lidar[:3, 3] += delta[20:23]
+        T_imu_lidar[:3, :3] = T_imu_lidar[:3, :3] @ so3.exp(delta[MOUNTING_ROTATION])
+        T_imu_lidar[:3, 3] += delta[LEVER_ARM]
     late, faster = (float(delta[CLOCK]), float(delta[DRIFT])) if len(delta) > CLOCK else (0.0, 0.0)
     return replace(
         state,
-        R_odom_imu=state.R_odom_imu @ so3.exp(delta[0:3]),
-        p_odom=state.p_odom + delta[3:6],
-        v_odom=state.v_odom + delta[6:9],
-        gyro_bias=state.gyro_bias + delta[9:12],
-        accel_bias=state.accel_bias + delta[12:15],
+        R_odom_imu=state.R_odom_imu @ so3.exp(delta[ROTATION]),
+        p_odom=state.p_odom + delta[POSITION],
+        v_odom=state.v_odom + delta[VELOCITY],
+        gyro_bias=state.gyro_bias + delta[GYRO_BIAS],
+        accel_bias=state.accel_bias + delta[ACCEL_BIAS],
         g_odom=g_odom,
         T_imu_lidar=T_imu_lidar,
         imu_offset=state.imu_offset + late,
@@ -53,14 +61,14 @@ def retract(state: NavState, delta: Array) -> NavState:
 def local(origin: NavState, state: NavState) -> Array:
     """Return the error vector with ``retract(origin, delta) = state``."""
     delta = np.zeros(len(origin.covariance))
-    delta[0:3] = so3.log(origin.R_odom_imu.T @ state.R_odom_imu)
-    delta[3:6] = state.p_odom - origin.p_odom
-    delta[6:9] = state.v_odom - origin.v_odom
-    delta[9:12] = state.gyro_bias - origin.gyro_bias
-    delta[12:15] = state.accel_bias - origin.accel_bias
+    delta[ROTATION] = so3.log(origin.R_odom_imu.T @ state.R_odom_imu)
+    delta[POSITION] = state.p_odom - origin.p_odom
+    delta[VELOCITY] = state.v_odom - origin.v_odom
+    delta[GYRO_BIAS] = state.gyro_bias - origin.gyro_bias
+    delta[ACCEL_BIAS] = state.accel_bias - origin.accel_bias
     magnitude = float(np.linalg.norm(origin.g_odom))
     if magnitude > 0.0:
-        delta[15:17] = s2.local(origin.g_odom / magnitude, state.g_odom / np.linalg.norm(state.g_odom))
+        delta[GRAVITY] = s2.local(origin.g_odom / magnitude, state.g_odom / np.linalg.norm(state.g_odom))
     if len(delta) > NAV_DIM:
         delta[MOUNTING] = mounting_error(origin.T_imu_lidar, state.T_imu_lidar)
     if len(delta) > CLOCK:
@@ -81,12 +89,12 @@ def reset_jacobian(origin: NavState, delta: Array) -> Array:
     It carries a covariance of errors around ``origin`` to errors around ``retract(origin, delta)``.
     """
     J = np.eye(len(delta))
-    J[0:3, 0:3] = so3.right_jacobian(delta[0:3])
+    J[ROTATION, ROTATION] = so3.right_jacobian(delta[ROTATION])
     magnitude = float(np.linalg.norm(origin.g_odom))
     if magnitude > 0.0:
         direction = origin.g_odom / magnitude
-        moved = s2.retract(direction, delta[15:17])
-        J[15:17, 15:17] = s2.basis(moved).T @ s2.retract_jacobian(direction, delta[15:17])
+        moved = s2.retract(direction, delta[GRAVITY])
+        J[GRAVITY, GRAVITY] = s2.basis(moved).T @ s2.retract_jacobian(direction, delta[GRAVITY])
     if len(delta) > NAV_DIM:
-        J[17:20, 17:20] = so3.right_jacobian(delta[17:20])
+        J[MOUNTING_ROTATION, MOUNTING_ROTATION] = so3.right_jacobian(delta[MOUNTING_ROTATION])
     return J

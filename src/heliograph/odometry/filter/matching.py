@@ -1,25 +1,35 @@
-"""One scan against the map: thinning, a kernel that narrows as the pose settles, and the iterated update."""
+"""One scan against the map: thinning, a kernel that narrows as the pose settles, the iterated update, and its trust."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.cloud import voxel_downsample
-from heliograph.config import CloudConfig, FilterConfig
+from heliograph.config import CloudConfig, FilterConfig, RunConfig
 from heliograph.data import NavState
+from heliograph.data.error_layout import POSITION, ROTATION
 from heliograph.maps import LocalMap
-from heliograph.odometry.filter.error_state import CLOCK, MOUNTING, NAV_DIM, mounting_error
-from heliograph.odometry.filter.update import UpdateResult, iterated_update
+from heliograph.odometry.filter.calibrating import CalibrationTerms
+from heliograph.odometry.filter.error_state import mounting_error
+from heliograph.odometry.filter.measurement import ScanMeasurement
+from heliograph.odometry.filter.update import FilterUpdate, iterated_update
 from heliograph.registration import MatchSettings, NormalEquations, linearize
 
-__all__ = ["AdaptiveNoise", "Online", "Thinning", "is_vague", "register", "with_clock"]
+__all__ = ["AdaptiveNoise", "ScanMatcher", "Thinning", "register"]
 
-# A prediction's rotation error moves points by its sine times their distance; this distance stands for the cloud.
+# A prediction's rotation error moves points by its sine times their distance; this distance stands for the cloud [m].
 _TYPICAL_RANGE = 15.0
+_OPENING_SIGMAS = 2.0  # of the predicted position, that the first kernel's scale spans
+_VAGUE_RATIO = 3.0  # first by final kernel scale, beyond which a prediction is vague
+_NOISE_GAIN, _SHARE_GAIN = 0.1, 0.1  # weights of the latest scan in the running means of noise and matched share
+_FIRST_LEAF = 0.4  # cube edge that the first scan is thinned with [m]
+_LEAF_TOLERANCE = 0.1  # relative error of the number of points picked that leaves the edge as it is
+_LEAF_STEP = 2.0  # largest factor by which the edge changes from scan to scan
+_SCALE_ITERATIONS = 4  # an iterated update stays no longer at one scale of its kernel
 
 
 class Thinning:
@@ -30,7 +40,7 @@ class Thinning:
 
     def __init__(self, config: CloudConfig) -> None:
         self._config = config
-        self._leaf = float(np.clip(0.4, config.min_leaf, config.max_leaf))
+        self._leaf = float(np.clip(_FIRST_LEAF, config.min_leaf, config.max_leaf))
 
     def pick(self, points: NDArray[np.float32]) -> NDArray[np.int32]:
         """Return the indices of the points picked, (M,) int32."""
@@ -38,8 +48,8 @@ class Thinning:
         if len(picked) > 0:
             ratio = len(picked) / self._config.target_points
             # Dead zone: an edge that never settles would make two equal scans differ.
-            if not 0.9 < ratio < 1.1:
-                leaf = self._leaf * float(np.clip(np.sqrt(ratio), 0.5, 2.0))
+            if not 1.0 - _LEAF_TOLERANCE < ratio < 1.0 + _LEAF_TOLERANCE:
+                leaf = self._leaf * float(np.clip(np.sqrt(ratio), 1.0 / _LEAF_STEP, _LEAF_STEP))
                 self._leaf = float(np.clip(leaf, self._config.min_leaf, self._config.max_leaf))
         return picked
 
@@ -54,55 +64,8 @@ class AdaptiveNoise:
         """Return the estimate after one more scan with the robust RMS ``rms`` [m]."""
         if not np.isfinite(rms):
             return self
-        sigma = float(np.clip(0.9 * self.sigma + 0.1 * rms, config.min_sigma, config.max_sigma))
+        sigma = float(np.clip((1.0 - _NOISE_GAIN) * self.sigma + _NOISE_GAIN * rms, config.min_sigma, config.max_sigma))
         return AdaptiveNoise(sigma)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Online:
-    """What an update needs to know where mounting and clock are among the states.
-
-    Parameters
-    ----------
-    considered : (25, 25) float64
-        Projection onto the directions that must not move.
-    rate_change : (3,) float64
-        Of the body's rate within the sweep [rad/s^2].
-    R_first : (3, 3) float64
-        Rotation of the map's first pose: what a mounting error did there, it did to the whole map.
-    """
-
-    considered: NDArray[np.float64]
-    rate_change: NDArray[np.float64]
-    R_first: NDArray[np.float64]
-
-
-def _pose_covariance(prior: NavState, online: Online | None) -> NDArray[np.float64]:
-    """Return the covariance (6, 6) of where the LiDAR stands on its map.
-
-    A mounting error shifts pose and map together, so that the pose alone would look far less certain than the match.
-    """
-    if online is None:
-        return prior.covariance[:6, :6]
-    B = np.eye(6, len(prior.covariance))
-    turn = prior.R_odom_imu.T @ online.R_first
-    B[0:3, 17:20] = (np.eye(3) - turn) @ prior.T_imu_lidar[:3, :3]
-    B[3:6, 20:23] = prior.R_odom_imu - online.R_first
-    return np.asarray(B @ prior.covariance @ B.T)
-
-
-def _opening(prior: NavState, sigma: float, config: FilterConfig, online: Online | None = None) -> float:
-    """Kernel scale of the first iteration: wide enough for what the prediction does not know [m]."""
-    covariance = _pose_covariance(prior, online)
-    position = float(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1])
-    rotation = float(np.linalg.eigvalsh(covariance[0:3, 0:3])[-1])
-    unknown = np.sqrt(max(position, 0.0) + _TYPICAL_RANGE**2 * max(rotation, 0.0))
-    return float(np.clip(2.0 * unknown, config.kernel * sigma, config.max_kernel))
-
-
-def is_vague(prior: NavState, noise: AdaptiveNoise, config: FilterConfig, online: Online | None = None) -> bool:
-    """Whether the prediction allows for errors well beyond what the final kernel forgives."""
-    return _opening(prior, noise.sigma, config, online) > 3.0 * config.kernel * noise.sigma
 
 
 def register(
@@ -111,83 +74,169 @@ def register(
     points_at: Callable[[NavState], NDArray[np.float32]],
     before_end: NDArray[np.float32],
     *,
-    T_imu_lidar: NDArray[np.float64],
     noise: AdaptiveNoise,
     config: FilterConfig,
     threads: int,
-    online: Online | None = None,
-) -> UpdateResult[NormalEquations]:
-    """Update ``prior`` with the points of a scan, imu frame at its stamp.
-
-    ``points_at(state)`` gives them de-skewed, (N, 3) float32 [m], ``before_end`` (N,) how long before [s].
-    They, and the map, were made with ``T_imu_lidar``; where the state's own mounting differs from it, the residuals are
-    corrected to first order. ``online`` is given where mounting and clock are gated states.
+    terms: CalibrationTerms | None = None,
+) -> FilterUpdate[ScanMeasurement]:
+    """Update a predicted state with the points of a scan.
 
     The kernel narrows down to ``config.kernel`` sigmas as the pose settles (graduated non-convexity in its simplest
     form), so that a poor prediction still finds its planes and a good one is not disturbed by wrong ones.
-    """
-    mounting = len(prior.covariance) > NAV_DIM and bool(prior.covariance[MOUNTING, MOUNTING].any())
-    kernel = _NarrowingKernel(_opening(prior, noise.sigma, config, online), config.kernel * noise.sigma)
 
-    def measure(state: NavState, iteration: int) -> NormalEquations:
+    Parameters
+    ----------
+    prior : NavState
+        Predicted to the scan's end.
+    local_map : LocalMap
+        Not empty.
+    points_at : callable
+        ``points_at(state)`` returns the points, de-skewed with the motion that a state at the scan's end makes of the
+        sweep, (N, 3) float32, imu frame at the end [m].
+    before_end : (N,) float32
+        Time of each point before the scan's end [s].
+    noise : AdaptiveNoise
+        Range noise across planes.
+    config : FilterConfig
+        Kernel, gate, tolerances, and how many matches count as one.
+    threads : int
+        Threads of the native loops; the result does not depend on them.
+    terms : CalibrationTerms, optional
+        What is estimated of mounting and clock. Points and map were made with ``terms.mounted.T_imu_lidar``; where the
+        state's mounting differs from it, the residuals are corrected to first order.
+
+    Returns
+    -------
+    FilterUpdate
+        The posterior, and the measurement as linearised last.
+
+    Raises
+    ------
+    ConfigError
+        An unknown residual, or point residuals on a map that has none.
+
+    Notes
+    -----
+    After W. Xu et al., "FAST-LIO2", T-RO 2022; eq. (3) to (7) of docs/theory/filter.md.
+    """
+    terms = terms if terms is not None else CalibrationTerms()
+    mounted = terms.mounted
+    kernel = _NarrowingKernel(_opening(prior, noise.sigma, config, terms), config.kernel * noise.sigma)
+
+    def measure(state: NavState, iteration: int) -> ScanMeasurement:
         scale = kernel.at(state, iteration)
         settings = MatchSettings(
             gate=config.gate * scale,
             kernel=scale,
             sigma=noise.sigma,
-            fallback_stride=0 if mounting else config.fallback_stride,
+            fallback_stride=config.fallback_stride if mounted is None else 0,
             residual=config.residual,
-            mounting=mounting,
-            both=online is not None,
             threads=threads,
         )
-        equations = linearize(
-            local_map, points_at(state), state.T_odom_imu, T_imu_lidar, settings, before_end=before_end
+        sums = linearize(
+            local_map,
+            points_at(state),
+            state.T_odom_imu,
+            settings,
+            before_end=before_end if terms.motion else None,
+            mounted=mounted,
         )
-        if mounting:
-            off = mounting_error(T_imu_lidar, state.T_imu_lidar)
-            equations = replace(equations, gradient=equations.gradient + equations.information[:, -6:] @ off)
-        if online is not None:
-            equations = with_clock(equations, online.rate_change)
-        share = 1.0 / config.correlation
-        return replace(
-            equations,
-            information=share * equations.information,
-            gradient=share * equations.gradient,
-            weight=share * equations.weight,
-        )
+        measurement = ScanMeasurement.of(sums)
+        if mounted is not None:
+            measurement = measurement.at_mounting(mounting_error(mounted.T_imu_lidar, state.T_imu_lidar))
+        if terms.rate_change is not None:
+            measurement = measurement.with_clock(terms.rate_change)
+        return measurement.scaled(1.0 / config.correlation)
 
     return iterated_update(
         prior,
         measure,
-        max_iterations=config.max_iterations + 4 * int(np.ceil(np.log2(kernel.scale / kernel.final))),
+        max_iterations=config.max_iterations + kernel.max_iterations,
         tolerance_rotation=config.tolerance_rotation,
         tolerance_position=config.tolerance_position,
         settled=lambda _: kernel.scale <= kernel.final,
-        considered=online.considered if online is not None else None,
+        considered=terms.considered,
     )
 
 
-def with_clock(equations: NormalEquations, rate_change: NDArray[np.float64]) -> NormalEquations:
-    """Add the column of the clock's offset: within the sweep it acts as a gyroscope bias of minus the rates' change."""
-    size = len(equations.columns)
-    G = np.eye(size, size + 1)
-    G[9:12, size] = -rate_change
-    return replace(
-        equations,
-        columns=np.append(equations.columns, CLOCK),
-        information=G.T @ equations.information @ G,
-        gradient=G.T @ equations.gradient,
-    )
+class ScanMatcher:
+    """Matches scans to a map, and remembers of them how noisy they are and how much of them usually matches.
+
+    Parameters
+    ----------
+    config : RunConfig
+    threads : int
+        Threads of the native loops; the result does not depend on them.
+    """
+
+    def __init__(self, config: RunConfig, *, threads: int) -> None:
+        self.noise = AdaptiveNoise(config.filter.sigma)
+        self.thinning = Thinning(config.cloud)
+        self._config, self._threads = config.filter, threads
+        self._usual_share = 0.0
+
+    def match(
+        self,
+        prior: NavState,
+        local_map: LocalMap,
+        points_at: Callable[[NavState], NDArray[np.float32]],
+        before_end: NDArray[np.float32],
+        terms: CalibrationTerms,
+    ) -> FilterUpdate[ScanMeasurement] | None:
+        """Return what `register` makes of a scan, None where too few points match to trust it."""
+        fit = register(
+            prior,
+            local_map,
+            points_at,
+            before_end,
+            noise=self.noise,
+            config=self._config,
+            threads=self._threads,
+            terms=terms,
+        )
+        return fit if self._trusted(prior, fit.measurement.sums, terms) else None
+
+    def _trusted(self, prior: NavState, found: NormalEquations, terms: CalibrationTerms) -> bool:
+        """Whether enough points match; after a vague prediction that also means: about as many as before it.
+
+        A scan that was led to a wrong place by a prediction that allowed for one finds planes there too, but fewer.
+        """
+        config = self._config
+        if found.matches < config.min_matches:
+            return False
+        share = found.matches / found.queries
+        if _is_vague(prior, self.noise, config, terms) and share < config.vague_share * self._usual_share:
+            return False
+        self._usual_share += _SHARE_GAIN * (share - self._usual_share) if self._usual_share > 0.0 else share
+        return True
+
+
+def _opening(prior: NavState, sigma: float, config: FilterConfig, terms: CalibrationTerms) -> float:
+    """Kernel scale of the first iteration: wide enough for what the prediction does not know [m]."""
+    covariance = terms.map_pose_covariance(prior)
+    position = float(np.linalg.eigvalsh(covariance[POSITION, POSITION])[-1])
+    rotation = float(np.linalg.eigvalsh(covariance[ROTATION, ROTATION])[-1])
+    unknown = np.sqrt(max(position, 0.0) + _TYPICAL_RANGE**2 * max(rotation, 0.0))
+    return float(np.clip(_OPENING_SIGMAS * unknown, config.kernel * sigma, config.max_kernel))
+
+
+def _is_vague(prior: NavState, noise: AdaptiveNoise, config: FilterConfig, terms: CalibrationTerms) -> bool:
+    """Whether the prediction allows for errors well beyond what the final kernel forgives."""
+    return _opening(prior, noise.sigma, config, terms) > _VAGUE_RATIO * config.kernel * noise.sigma
 
 
 class _NarrowingKernel:
-    """A kernel's scale that halves each time the pose has settled at the present one, four iterations at the latest."""
+    """A kernel's scale that halves when the pose has settled at it, or after `_SCALE_ITERATIONS` iterations."""
 
     def __init__(self, start: float, final: float) -> None:
         self.scale, self.final = start, final
         self._last: NavState | None = None
         self._stay = 0
+
+    @property
+    def max_iterations(self) -> int:
+        """Most iterations until the scale is the final one."""
+        return _SCALE_ITERATIONS * int(np.ceil(np.log2(self.scale / self.final)))
 
     def at(self, state: NavState, iteration: int) -> float:
         """Return the scale [m] for an iteration that begins at ``state``."""
@@ -195,7 +244,7 @@ class _NarrowingKernel:
             shift = float(np.linalg.norm(state.p_odom - self._last.p_odom))
             turn = float(np.linalg.norm(state.R_odom_imu - self._last.R_odom_imu)) / np.sqrt(2.0)
             self._stay += 1
-            if shift + _TYPICAL_RANGE * turn < 0.5 * self.scale or self._stay >= 4:
+            if shift + _TYPICAL_RANGE * turn < 0.5 * self.scale or self._stay >= _SCALE_ITERATIONS:
                 self.scale, self._stay = max(self.final, 0.5 * self.scale), 0
         self._last = state
         return self.scale

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.config import FilterConfig, ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState
-from heliograph.imu import ImuPath, propagate
+from heliograph.imu import ImuPath, Prediction, predict
 from heliograph.lie import so3
 
 __all__ = ["MotionModel", "corrected_path", "rate_change", "sweep_path"]
@@ -26,7 +26,7 @@ class MotionModel:
     ----------
     imu, filter : ImuConfig, FilterConfig
     noise : ImuNoise or None
-        Of the IMU; None selects the constant-velocity model.
+        Noise of the IMU; None selects the constant-velocity model.
     """
 
     def __init__(self, imu: ImuConfig, filter_config: FilterConfig, noise: ImuNoise | None) -> None:
@@ -39,16 +39,16 @@ class MotionModel:
             accel_walk=0.0,
         )
 
-    def predict(self, state: NavState, imu: ImuBatch, end_ns: int) -> tuple[NavState, ImuPath]:
+    def predict(self, state: NavState, imu: ImuBatch, end_ns: int) -> Prediction:
         """Carry ``state`` to ``end_ns``; ``imu`` is not looked at by the constant-velocity model."""
         if not self.inertial:
             stamps = np.array([state.stamp_ns, max(end_ns, state.stamp_ns + 1)], dtype=np.int64)
             imu = ImuBatch(stamps_ns=stamps, gyro=np.zeros((2, 3)), accel=np.zeros((2, 3)), received_ns=0)
         elif not state.imu_clock.exact:
             imu = replace(imu, stamps_ns=state.imu_clock.lidar_time(imu.stamps_ns))
-        moved, path = propagate(state, imu, end_ns, noise=self._noise, config=self._config)
+        ahead = predict(state, imu, end_ns, noise=self._noise, config=self._config)
         # Without an IMU none of its samples is missing, however long the way from scan to scan.
-        return moved, path if self.inertial else replace(path, held_s=0.0)
+        return ahead if self.inertial else replace(ahead, path=replace(ahead.path, held_s=0.0))
 
 
 def rate_change(path: ImuPath) -> NDArray[np.float64]:

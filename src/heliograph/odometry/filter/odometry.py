@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult, StartAccount
-from heliograph.imu.clock_shift import AROUND
+from heliograph.data.error_layout import GRAVITY
+from heliograph.imu.clock_shift import HALF_WINDOW
 from heliograph.lie import so3
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.calibration_gate import uncertain_rig, with_calibration
@@ -17,9 +18,9 @@ from heliograph.odometry.sequencer import Packet, Sequencer
 
 __all__ = ["FilterOdometry"]
 
-# Samples are kept so many times longer than they are needed: the next offset may be a smaller one.
-_FORGET = 20
-_LEVEL_DEG, _TILTED_DEG = 0.2, 1.0  # a map whose level is known no better deserves a remark, or a warning [deg]
+# Samples are kept longer than they are needed, by this factor: the next offset may be a smaller one.
+_KEEP_FACTOR = 20
+_REMARK_TILT_DEG, _WARNING_TILT_DEG = 0.2, 1.0  # sigma of the level that deserves a remark, a warning [deg]
 
 
 class FilterOdometry:
@@ -35,6 +36,9 @@ class FilterOdometry:
     sensors : frozenset of str
         ``"lidar"``, ``"imu"`` or both.
     threads : int
+        Threads of the native loops; the results do not depend on them.
+    local_map : LocalMap, optional
+        What scans are matched to; a `VoxelMap` if not given.
     """
 
     def __init__(
@@ -55,7 +59,7 @@ class FilterOdometry:
         self._sequencer = Sequencer(self._sensors)
         self._waiting: list[Packet] = []
         self._first: FirstLook | None = None
-        self._around_ns = int(1e9 * AROUND) if config.filter.estimate_time_offset else 0
+        self._around_ns = int(1e9 * HALF_WINDOW) if config.filter.estimate_time_offset else 0
 
     def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
         """Take one message and return the results that it made ready."""
@@ -78,14 +82,14 @@ class FilterOdometry:
         """Return what the last state says about the whole run: how well it knows which way is up."""
         if self.core is None or np.linalg.norm(self.core.state.g_odom) == 0.0:
             return []
-        tilt = np.degrees(np.sqrt(float(np.linalg.eigvalsh(self.core.state.covariance[15:17, 15:17])[-1])))
-        if tilt < _LEVEL_DEG:
+        tilt = np.degrees(np.sqrt(float(np.linalg.eigvalsh(self.core.state.covariance[GRAVITY, GRAVITY])[-1])))
+        if tilt < _REMARK_TILT_DEG:
             return []
         text = (
             f"up is known to +- {tilt:.2f} deg only: over this recording a tilt cannot be told from an accelerometer "
             f"bias - turn the sensor about its vertical axis to separate them"
         )
-        severity = "warning" if tilt >= _TILTED_DEG else "info"
+        severity = "warning" if tilt >= _WARNING_TILT_DEG else "info"
         return [Event(code="tilt-uncertain", message=text, stamp_ns=self.core.state.stamp_ns, severity=severity)]
 
     def _calibrated(self) -> list[Event]:
@@ -143,7 +147,7 @@ class FilterOdometry:
         else:
             result = self.core.dead_reckon(packet.end_ns, imu)
         now_ns = self._imu_time(packet.end_ns)
-        self._sequencer.imu.forget_before(now_ns - _FORGET * self._around_ns)
+        self._sequencer.imu.forget_before(now_ns - _KEEP_FACTOR * self._around_ns)
         self._sequencer.lead_ns = now_ns - packet.end_ns + self._around_ns
         return result
 

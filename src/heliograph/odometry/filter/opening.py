@@ -14,6 +14,15 @@ from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState, Rig, Scan, ScanResult, Trajectory
+from heliograph.data.error_layout import (
+    GYRO_BIAS,
+    LEVER_ARM,
+    MOUNTED_DIM,
+    MOUNTING_ROTATION,
+    NAV_DIM,
+    POSE,
+    VELOCITY,
+)
 from heliograph.imu import MotionStart, align_motion
 from heliograph.imu.white_floor import noise_in_motion
 from heliograph.lie import so3
@@ -21,29 +30,29 @@ from heliograph.odometry.filter.core import FilterCore
 from heliograph.odometry.filter.motion import MotionModel
 from heliograph.odometry.sequencer import Packet
 
-__all__ = ["NO_IMU", "LidarMotion", "blank_state", "find_motion", "lidar_only", "scans_of", "set_block"]
+__all__ = ["NO_IMU", "OpeningMotion", "blank_state", "find_motion", "lidar_only", "scans_of", "set_block"]
 
 Array = NDArray[np.float64]
 
 NO_IMU = ImuBatch(stamps_ns=np.zeros(0, np.int64), gyro=np.zeros((0, 3)), accel=np.zeros((0, 3)), received_ns=0)
 
-UNKNOWN_SPEED, UNKNOWN_RATE = 5.0, 1.0
+UNKNOWN_SPEED, UNKNOWN_RATE = 5.0, 1.0  # sigmas of a motion nobody knows [m/s], [rad/s]
 # White noise with which the IMU leads the LiDAR: over a scan of 0.1 s a turn of 0.5 deg and 5 cm, well above what a
 # match tells, so that the poses stay the LiDAR's.
 _LOOSE_GYRO, _LOOSE_ACCEL = 0.03, 3.0
-_FOUND_SPEED = 0.3  # of a velocity that an alignment has found already [m/s]
-_FEWEST_POSES = 5
+_ALIGNED_SPEED_SIGMA = 0.3  # of a velocity that an alignment has found already [m/s]
+_MIN_POSES = 5
 # Passes, each de-skewed with what the one before it found, until the velocity stays [m/s].
-_MOST_PASSES = 5
-_SAME_SPEED = 0.02
-# Speeds that a LiDAR is told of which is blind along its way and matches fewer than this share of its points [m/s].
-_TRIED_SPEEDS, _TRIED_SCANS, _FEW = (12.0, 24.0, 36.0, -12.0, -24.0, -36.0), 5, 0.5
-_FAST = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
+_MAX_PASSES = 5
+_SETTLED_SPEED = 0.02
+# Speeds [m/s] and scans to try them with, where the LiDAR is blind along its way and matches less than this share.
+_TRIED_SPEEDS, _TRIED_SCANS, _BLIND_SHARE = (12.0, 24.0, 36.0, -12.0, -24.0, -36.0), 5, 0.5
+_FAST_SPEED = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
 _SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LidarMotion:
+class OpeningMotion:
     """How the LiDAR alone saw the first scans: velocity and rate at their start, and what velocity gained."""
 
     v_imu: Array
@@ -66,10 +75,11 @@ def scans_of(packets: Sequence[Packet]) -> list[Scan]:
 
 def blank_state(stamp_ns: int, rig: Rig) -> NavState:
     """Return a state of zeros, known exactly but for the mounting."""
-    covariance = np.zeros((17, 17) if rig.known else (23, 23))
+    size = NAV_DIM if rig.known else MOUNTED_DIM
+    covariance = np.zeros((size, size))
     if not rig.known:
-        covariance[17:20, 17:20] = rig.sigma_rotation**2 * np.eye(3)
-        covariance[20:23, 20:23] = rig.sigma_translation**2 * np.eye(3)
+        covariance[MOUNTING_ROTATION, MOUNTING_ROTATION] = rig.sigma_rotation**2 * np.eye(3)
+        covariance[LEVER_ARM, LEVER_ARM] = rig.sigma_translation**2 * np.eye(3)
     return NavState(
         stamp_ns=stamp_ns,
         R_odom_imu=np.eye(3),
@@ -83,9 +93,9 @@ def blank_state(stamp_ns: int, rig: Rig) -> NavState:
     )
 
 
-def set_block(state: NavState, first: int, sigma: float) -> None:
+def set_block(state: NavState, block: slice, sigma: float) -> None:
     """Give three errors of a state that is still being made one sigma."""
-    state.covariance[first : first + 3, first : first + 3] = sigma**2 * np.eye(3)
+    state.covariance[block, block] = sigma**2 * np.eye(3)
 
 
 def constant_velocity_state(
@@ -95,17 +105,17 @@ def constant_velocity_state(
     # See MotionModel: the imaginary gyroscope's bias is minus the body rate. The mounting is unobservable without an
     # IMU.
     state = blank_state(stamp_ns, replace(rig, known=True))
-    set_block(state, 6, v_sigma)
-    set_block(state, 9, rate_sigma)
+    set_block(state, VELOCITY, v_sigma)
+    set_block(state, GYRO_BIAS, rate_sigma)
     return replace(state, v_odom=v, gyro_bias=-rate)
 
 
-def lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: int) -> LidarMotion | None:
+def lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: int) -> OpeningMotion | None:
     """Run the constant-velocity filter over the first scans, and again with its first map de-skewed.
 
-    Between houses a LiDAR that is told to expect rest sees rest at any speed beyond two metres a scan: the walls along
-    the way fit everywhere. What gives that away is that it is blind along the way while most points find nothing; then
-    it is told of higher speeds, and follows the one that matches more points.
+    Between houses a LiDAR that expects rest sees rest at any speed beyond two metres a scan: the walls along the way
+    fit everywhere. What gives that away is that it is blind along the way while most points find nothing; then higher
+    speeds are tried, and the one that matches more points is followed.
     """
     scans = scans_of(packets)
     if len(scans) < 3:
@@ -140,16 +150,16 @@ def _share(results: Sequence[ScanResult]) -> float:
 
 def _blind_direction(results: Sequence[ScanResult], config: RunConfig) -> Array | None:
     """Return the direction, in the frame of the first pose, that scans are blind in which match few of their points."""
-    seen = [result for result in results[1:_TRIED_SCANS] if result.matches > 0]
-    if not seen or _share(results[:_TRIED_SCANS]) > _FEW:
+    matched = [result for result in results[1:_TRIED_SCANS] if result.matches > 0]
+    if not matched or _share(results[:_TRIED_SCANS]) > _BLIND_SHARE:
         return None
-    worst = min(seen, key=lambda result: float(result.eigenvalues_translation[0]))
+    worst = min(matched, key=lambda result: float(result.eigenvalues_translation[0]))
     if worst.eigenvalues_translation[0] > config.filter.degenerate_translation:
         return None
     return worst.weak_direction
 
 
-def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> LidarMotion:
+def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> OpeningMotion:
     """Fit parabolas to positions and rotation vectors, and read them at the first scan's start."""
     t = (stamps_ns - begin_ns) * 1e-9
     degree = 2 if len(t) >= 5 else 1
@@ -159,7 +169,7 @@ def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> LidarM
     R_first = T[0, :3, :3]
     v_begin = position[1]
     gained = 2.0 * position[2] * (t[-1] - 0.0) if degree == 2 else np.zeros(3)
-    return LidarMotion(
+    return OpeningMotion(
         v_imu=R_first.T @ v_begin,
         rate_imu=rotation[1],
         v_gained=gained,
@@ -184,7 +194,7 @@ def find_motion(
     rig: Rig,
     config: RunConfig,
     *,
-    moved: LidarMotion | None = None,
+    moved: OpeningMotion | None = None,
     threads: int,
 ) -> tuple[MotionStart, MotionStart] | None:
     """Align the LiDAR's poses of the first scans with the IMU, in passes that de-skew better and better.
@@ -198,7 +208,7 @@ def find_motion(
     ----------
     packets, imu, rig, config, threads
         As for `find_start`.
-    moved : LidarMotion, optional
+    moved : OpeningMotion, optional
         What `lidar_only` saw of the first of them.
 
     Returns
@@ -208,7 +218,7 @@ def find_motion(
         can be matched to say anything.
     """
     scans = scans_of(packets)
-    if len(scans) < _FEWEST_POSES:
+    if len(scans) < _MIN_POSES:
         return None
     noise = noise_in_motion(imu, config.imu)
 
@@ -228,35 +238,35 @@ def find_motion(
 
     seen = max((follow(*led) for led in _led_by_gyro(scans[0], imu, rig, moved)), key=lambda seen: seen.share)
     found: MotionStart | None = None
-    for _ in range(_MOST_PASSES):
-        if len(seen.poses) < _FEWEST_POSES:
+    for _ in range(_MAX_PASSES):
+        if len(seen.poses) < _MIN_POSES:
             return None
         before, found = found, align(seen)
         if found.verdict == "failed" or (before is not None and _same_velocity(before, found)):
             break
         seen = follow(*_led_by_imu(scans[0], found, imu, rig))
-    return (found, align(seen, _SCALE_SIGMA)) if found is not None and len(seen.poses) >= _FEWEST_POSES else None
+    return (found, align(seen, _SCALE_SIGMA)) if found is not None and len(seen.poses) >= _MIN_POSES else None
 
 
 def _same_velocity(before: MotionStart, after: MotionStart) -> bool:
     changed = after.R_odom_imu[0].T @ after.v_odom[0] - before.R_odom_imu[0].T @ before.v_odom[0]
-    return float(np.linalg.norm(changed)) < _SAME_SPEED
+    return float(np.linalg.norm(changed)) < _SETTLED_SPEED
 
 
 def _led_by_gyro(
-    first: Scan, imu: ImuBatch, rig: Rig, moved: LidarMotion | None
+    first: Scan, imu: ImuBatch, rig: Rig, moved: OpeningMotion | None
 ) -> Iterator[tuple[NavState, ImuBatch]]:
     """Yield states and samples for the real gyroscope beside an accelerometer that reads zero without gravity."""
     state, lead = blank_state(first.stamp_ns, replace(rig, known=True)), replace(imu, accel=np.zeros_like(imu.accel))
-    set_block(state, 6, UNKNOWN_SPEED)
+    set_block(state, VELOCITY, UNKNOWN_SPEED)
     yield state, lead
-    if moved is not None and moved.speed > _FAST:
+    if moved is not None and moved.speed > _FAST_SPEED:
         yield replace(state, v_odom=moved.v_imu), lead
 
 
 def _led_by_imu(first: Scan, found: MotionStart, imu: ImuBatch, rig: Rig) -> tuple[NavState, ImuBatch]:
     state = blank_state(first.stamp_ns, replace(rig, known=True))
-    set_block(state, 6, _FOUND_SPEED)
+    set_block(state, VELOCITY, _ALIGNED_SPEED_SIGMA)
     return replace(
         state,
         R_odom_imu=found.R_odom_imu[0],
@@ -272,12 +282,12 @@ def _follow(scans: Sequence[Scan], state: NavState, imu: ImuBatch, config: RunCo
     noise = ImuNoise(gyro=_LOOSE_GYRO, accel=_LOOSE_ACCEL, gyro_walk=0.0, accel_walk=0.0)
     core = FilterCore(state, MotionModel(config.imu, config.filter, noise), config, threads=threads)
     results = [core.process(scan, imu) for scan in scans]
-    kept: list[ScanResult] = [result for result in results if result.status in ("first", "tracked", "degenerate")]
+    kept: list[ScanResult] = [result for result in results if result.matched]
     return _Followed(
         poses=Trajectory(
             stamps_ns=np.array([result.end_ns for result in kept], dtype=np.int64),
             T_frame_body=np.stack([result.T_odom_imu for result in kept]),
         ),
-        covariance=np.stack([result.covariance[:6, :6] for result in kept]),
+        covariance=np.stack([result.covariance[POSE, POSE] for result in kept]),
         share=_share(results),
     )

@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import FilterConfig
-from heliograph.data import Event, NavState, Scan, ScanResult, Trajectory
+from heliograph.data import Event, NavState, Scan, ScanResult, ScanStatus, Trajectory
+from heliograph.data.error_layout import POSITION
 from heliograph.imu import ImuPath
 from heliograph.lie import interpolate_se3, se3
-from heliograph.odometry.filter.update import UpdateResult
-from heliograph.registration import NormalEquations, Observability, observability
+from heliograph.odometry.filter.measurement import ScanMeasurement
+from heliograph.odometry.filter.update import FilterUpdate
+from heliograph.registration import Observability, observability
 
 __all__ = ["ScanOutcome", "Stopwatch", "dead_reckoned", "scan_result"]
 
@@ -41,7 +43,7 @@ class ScanOutcome:
     path: ImuPath
     points_imu: NDArray[np.float32]
     intensity: NDArray[np.float32] | None
-    fit: UpdateResult[NormalEquations] | None
+    fit: FilterUpdate[ScanMeasurement] | None
     queries: int
 
 
@@ -68,7 +70,7 @@ def scan_result(
     )
     if fit is None:
         return replace(common, status=_status_without_match(outcome, index, pose_covariance, config))
-    equations = fit.linearization
+    equations = fit.measurement.sums
     mean_square = float(np.mean(np.einsum("ij,ij->i", points_imu, points_imu))) if len(points_imu) else 1.0
     seen = observability(equations, mean_square)
     return replace(
@@ -123,10 +125,10 @@ def _base(
 
 def _status_without_match(
     outcome: ScanOutcome, index: int, pose_covariance: NDArray[np.float64], config: FilterConfig
-) -> str:
+) -> ScanStatus:
     if index == 0:
         return "first"
-    if float(np.sqrt(np.linalg.eigvalsh(pose_covariance[3:, 3:])[-1])) > config.lost_sigma:
+    if float(np.sqrt(np.linalg.eigvalsh(pose_covariance[POSITION, POSITION])[-1])) > config.lost_sigma:
         return "lost"
     return "empty" if len(outcome.points_imu) == 0 else "predicted"
 

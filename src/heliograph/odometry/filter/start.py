@@ -10,6 +10,17 @@ from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
 from heliograph.data import Event, ImuBatch, NavState, Rig, StartAccount
+from heliograph.data.error_layout import (
+    ACCEL_BIAS,
+    BIASES,
+    GRAVITY,
+    GYRO_BIAS,
+    NAV,
+    NAV_DIM,
+    POSITION,
+    ROTATION,
+    VELOCITY,
+)
 from heliograph.imu import MotionStart, StaticStart, assess_stillness
 from heliograph.imu.white_floor import noise_in_motion
 from heliograph.lie import s2, so3
@@ -18,7 +29,7 @@ from heliograph.odometry.filter.opening import (
     NO_IMU,
     UNKNOWN_RATE,
     UNKNOWN_SPEED,
-    LidarMotion,
+    OpeningMotion,
     blank_state,
     constant_velocity_state,
     find_motion,
@@ -28,20 +39,26 @@ from heliograph.odometry.filter.opening import (
 )
 from heliograph.odometry.sequencer import Packet
 
-__all__ = ["FirstLook", "Start", "find_start", "look"]
+__all__ = ["FilterStart", "FirstLook", "find_start", "look"]
 
 Array = NDArray[np.float64]
 
-_REST_SPEED_SIGMA = 0.02
-_MOVING_SPEED_SIGMA, _MOVING_RATE_SIGMA, _MOVING_UP_SIGMA = 0.3, 0.02, 0.3
-_SCALE_DOUBT = 0.02  # share by which an accelerometer's scale may be off before it is worth a warning
-# The filter matches the scans of the start again, from the first one on. It is told a quarter of what the alignment
-# learnt from them, so that they count little more than once.
-_TOLD_SHARE = 0.25
+_REST_SPEED_SIGMA = 0.02  # [m/s]
+_REST_RATE_FLOOR, _REST_UP_FLOOR = 1e-4, 2e-3  # added to what rest shows of bias and force [rad/s], [m/s^2]
+_MOVING_SPEED_SIGMA, _MOVING_RATE_SIGMA, _MOVING_UP_SIGMA = 0.3, 0.02, 0.3  # [m/s], [rad/s], [m/s^2]
+_UNKNOWN_UP_SIGMA = 1.0  # of a mean force in motion that no LiDAR has corrected [m/s^2]
+_IMPLAUSIBLE_BIAS_SIGMAS = 5.0  # a gyroscope bias beyond this multiple of its prior is a match gone wrong
+_SCALE_TOLERANCE, _SCALE_SIGMAS = 0.02, 4.0  # error of an accelerometer's scale that is worth a warning
+_HEADING_MIN = 0.1  # horizontal part of the body's x axis below which it has no heading
+# The filter matches the scans of the start again, from the first one on. It begins with a quarter of the information
+# that the alignment drew from them, so that they count little more than once.
+_INFORMATION_SHARE = 0.25
+_FREE = slice(VELOCITY.start, NAV_DIM)  # the errors of a start, whose pose defines its frame
+_LEANING = slice(ACCEL_BIAS.start, GRAVITY.stop)  # accelerometer bias and gravity, which one force cannot tell apart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
+class FilterStart:
     """Where the filter begins, what carries it on, and the account of how well that is known."""
 
     state: NavState
@@ -58,16 +75,16 @@ class FirstLook:
     ----------
     rest : StaticStart or None
         None without an IMU.
-    moved : LidarMotion or None
+    moved : OpeningMotion or None
         None where too few scans could be matched.
     still : bool
         Whether IMU and LiDAR agree that nothing moves.
     scans : int
-        With points.
+        Number of scans with points.
     """
 
     rest: StaticStart | None
-    moved: LidarMotion | None
+    moved: OpeningMotion | None
     still: bool
     scans: int
 
@@ -92,7 +109,7 @@ def look(packets: Sequence[Packet], imu: ImuBatch, rig: Rig, config: RunConfig, 
     return FirstLook(rest=rest, moved=moved, still=rest.still and agreed, scans=scans)
 
 
-def _lidar_rests(moved: LidarMotion, config: RunConfig) -> bool:
+def _lidar_rests(moved: OpeningMotion, config: RunConfig) -> bool:
     return moved.speed < config.imu.still_speed and float(np.linalg.norm(moved.mean_rate)) < config.imu.still_turn
 
 
@@ -104,7 +121,7 @@ def find_start(
     *,
     threads: int,
     first: FirstLook | None = None,
-) -> Start:
+) -> FilterStart:
     """Return the state at the first scan's start.
 
     At rest velocity is zero and the gyroscope shows its bias. In motion the LiDAR's poses and the IMU are aligned; what
@@ -136,7 +153,7 @@ def find_start(
         state, account = _moving_start(packets, imu, rig, config, first, threads)
         events = (_moving_event(begin_ns, first, account), *_scale_event(begin_ns, account))
     state = _rebased(state, motion, imu, packets[0].end_ns)
-    return Start(state=state, motion=motion, events=events, account=account)
+    return FilterStart(state=state, motion=motion, events=events, account=account)
 
 
 def _moving_start(
@@ -164,10 +181,10 @@ def _account(state: NavState, *, kind: str, verdict: str, reason: str, duration:
         verdict=verdict,
         reason=reason,
         duration=duration,
-        gravity_sigma=float(np.sqrt(np.linalg.eigvalsh(state.covariance[15:17, 15:17])[-1])),
-        velocity_sigma=float(np.sqrt(np.linalg.eigvalsh(state.covariance[6:9, 6:9])[-1])),
-        gyro_bias_sigma=sigma[9:12],
-        accel_bias_sigma=sigma[12:15],
+        gravity_sigma=float(np.sqrt(np.linalg.eigvalsh(state.covariance[GRAVITY, GRAVITY])[-1])),
+        velocity_sigma=float(np.sqrt(np.linalg.eigvalsh(state.covariance[VELOCITY, VELOCITY])[-1])),
+        gyro_bias_sigma=sigma[GYRO_BIAS],
+        accel_bias_sigma=sigma[ACCEL_BIAS],
     )
 
 
@@ -217,7 +234,7 @@ def _moving_event(begin_ns: int, first: FirstLook, account: StartAccount) -> Eve
 
 def _scale_event(begin_ns: int, account: StartAccount) -> tuple[Event, ...]:
     off, sigma = abs(account.accel_scale - 1.0), account.accel_scale_sigma
-    if not off > _SCALE_DOUBT + 4.0 * sigma:
+    if not off > _SCALE_TOLERANCE + _SCALE_SIGMAS * sigma:
         return ()
     text = (
         f"the accelerometer shows {account.accel_scale:.3f} (+- {sigma:.3f}) times the motion that the LiDAR saw and "
@@ -226,7 +243,7 @@ def _scale_event(begin_ns: int, account: StartAccount) -> tuple[Event, ...]:
     return (Event(code="accel-scale", message=text, stamp_ns=begin_ns),)
 
 
-def _without_imu(begin_ns: int, end_ns: int, moved: LidarMotion | None, rig: Rig, config: RunConfig) -> Start:
+def _without_imu(begin_ns: int, end_ns: int, moved: OpeningMotion | None, rig: Rig, config: RunConfig) -> FilterStart:
     zero = np.zeros(3)
     v, rate = (moved.v_imu, moved.rate_imu) if moved is not None else (zero, zero)
     state = constant_velocity_state(begin_ns, v, rate, UNKNOWN_SPEED, UNKNOWN_RATE, rig)
@@ -238,7 +255,7 @@ def _without_imu(begin_ns: int, end_ns: int, moved: LidarMotion | None, rig: Rig
     motion = MotionModel(config.imu, config.filter, None)
     account = StartAccount(kind="no-imu", verdict="fair" if moved is not None else "poor", reason="no IMU")
     state = _rebased(state, motion, NO_IMU, end_ns)
-    return Start(state=state, motion=motion, events=(event,), account=account)
+    return FilterStart(state=state, motion=motion, events=(event,), account=account)
 
 
 def _with_gravity(state: NavState, up_odom: Array, up_sigma: float, config: RunConfig) -> NavState:
@@ -254,7 +271,7 @@ def _with_gravity(state: NavState, up_odom: Array, up_sigma: float, config: RunC
     gain = prior @ H.T @ np.linalg.inv(H @ prior @ H.T + up_sigma**2 * np.eye(3))
     delta = gain @ (up_odom + g * direction)
     posterior = (np.eye(5) - gain @ H) @ prior
-    state.covariance[12:17, 12:17] = 0.5 * (posterior + posterior.T)
+    state.covariance[_LEANING, _LEANING] = 0.5 * (posterior + posterior.T)
     return replace(state, accel_bias=delta[:3], g_odom=g * s2.retract(direction, delta[3:]))
 
 
@@ -265,9 +282,9 @@ def _static_state(begin_ns: int, rest: StaticStart, rig: Rig, config: RunConfig)
         gyro_bias=rest.gyro_mean,
     )
     sigma = np.sqrt(np.diag(rest.covariance))
-    set_block(state, 6, _REST_SPEED_SIGMA)
-    set_block(state, 9, float(np.hypot(sigma[:3].max(), 1e-4)))
-    up_sigma = float(np.hypot(sigma[3:].max(), 2e-3))
+    set_block(state, VELOCITY, _REST_SPEED_SIGMA)
+    set_block(state, GYRO_BIAS, float(np.hypot(sigma[:3].max(), _REST_RATE_FLOOR)))
+    up_sigma = float(np.hypot(sigma[3:].max(), _REST_UP_FLOOR))
     return _with_gravity(state, state.R_odom_imu @ rest.accel_mean, up_sigma, config)
 
 
@@ -291,31 +308,32 @@ def _aligned_state(found: MotionStart, rig: Rig, config: RunConfig) -> NavState:
     )
     if not rig.known:
         # An alignment with a mounting that is still a guess is as wrong as the guess: only its mean is used.
-        set_block(state, 6, _MOVING_SPEED_SIGMA)
-        set_block(state, 9, min(_MOVING_RATE_SIGMA, config.imu.gyro_bias_sigma))
+        set_block(state, VELOCITY, _MOVING_SPEED_SIGMA)
+        set_block(state, GYRO_BIAS, min(_MOVING_RATE_SIGMA, config.imu.gyro_bias_sigma))
         return _with_gravity(state, -g * down + R @ found.accel_bias, _MOVING_UP_SIGMA, config)
-    J = np.zeros((11, 17))
-    J[0:3, 0:3], J[0:3, 6:9] = R @ so3.hat(v_imu), R @ R0.T
-    J[3:9, 9:15] = np.eye(6)
+    J = np.zeros((NAV_DIM, NAV_DIM))
+    J[VELOCITY, ROTATION], J[VELOCITY, VELOCITY] = R @ so3.hat(v_imu), R @ R0.T
+    J[BIASES, BIASES] = np.eye(6)
     tangent = s2.basis(down).T @ R
-    J[9:11, 0:3], J[9:11, 15:17] = tangent @ so3.hat(down_imu), tangent @ R0.T @ s2.basis(found.g_odom / g)
-    covariance = J @ _told(found, config) @ J.T
-    state.covariance[6:17, 6:17] = 0.5 * (covariance + covariance.T)
+    J[GRAVITY, ROTATION] = tangent @ so3.hat(down_imu)
+    J[GRAVITY, GRAVITY] = tangent @ R0.T @ s2.basis(found.g_odom / g)
+    covariance = J[_FREE] @ _covariance_for_filter(found, config) @ J[_FREE].T
+    state.covariance[_FREE, _FREE] = 0.5 * (covariance + covariance.T)
     return state
 
 
-def _told(found: MotionStart, config: RunConfig) -> Array:
-    """Return the covariance (17, 17) of what the filter is told: the priors, and a share of what the scans said."""
-    information = _TOLD_SHARE * found.information[:17, :17]
+def _covariance_for_filter(found: MotionStart, config: RunConfig) -> Array:
+    """Return the covariance (17, 17) that the filter begins with: the priors, and a share of what the scans showed."""
+    information = _INFORMATION_SHARE * found.information[NAV, NAV]
     prior = np.repeat([config.imu.gyro_bias_sigma**-2, config.imu.accel_bias_sigma**-2], 3)
-    information[9:15, 9:15] += np.diag(prior)
+    information[BIASES, BIASES] += np.diag(prior)
     return np.asarray(np.linalg.inv(information))
 
 
 def _rough_state(
-    begin_ns: int, imu: ImuBatch, rest: StaticStart, moved: LidarMotion | None, rig: Rig, config: RunConfig
+    begin_ns: int, imu: ImuBatch, rest: StaticStart, moved: OpeningMotion | None, rig: Rig, config: RunConfig
 ) -> NavState:
-    up, up_sigma, v, v_sigma = rest.accel_mean, 1.0, np.zeros(3), UNKNOWN_SPEED
+    up, up_sigma, v, v_sigma = rest.accel_mean, _UNKNOWN_UP_SIGMA, np.zeros(3), UNKNOWN_SPEED
     bias, bias_sigma = np.zeros(3), config.imu.gyro_bias_sigma
     if moved is not None:
         inside = (imu.stamps_ns >= moved.stamps_ns[0]) & (imu.stamps_ns <= moved.stamps_ns[-1])
@@ -326,31 +344,31 @@ def _rough_state(
             up, up_sigma = force - moved.v_gained / span, _MOVING_UP_SIGMA
             bias = imu.gyro[inside].mean(axis=0) - moved.mean_rate
             bias_sigma = min(_MOVING_RATE_SIGMA, config.imu.gyro_bias_sigma)
-            if np.linalg.norm(bias) > 5.0 * config.imu.gyro_bias_sigma:
+            if np.linalg.norm(bias) > _IMPLAUSIBLE_BIAS_SIGMAS * config.imu.gyro_bias_sigma:
                 bias, bias_sigma = np.zeros(3), config.imu.gyro_bias_sigma
         v, v_sigma = moved.v_imu, _MOVING_SPEED_SIGMA
     R = so3.from_two_vectors(up, np.array([0.0, 0.0, 1.0]))
     state = replace(blank_state(begin_ns, rig), R_odom_imu=R, v_odom=R @ v, gyro_bias=bias)
-    set_block(state, 6, v_sigma)
-    set_block(state, 9, bias_sigma)
+    set_block(state, VELOCITY, v_sigma)
+    set_block(state, GYRO_BIAS, bias_sigma)
     return _with_gravity(state, R @ up, up_sigma, config)
 
 
 def _rebased(state: NavState, motion: MotionModel, imu: ImuBatch, end_ns: int) -> NavState:
     """Move the frame so that the first scan's end is its origin, with x along the body's horizontal heading there."""
-    end, _ = motion.predict(state, imu, end_ns)
+    end = motion.predict(state, imu, end_ns).state
     forward = end.R_odom_imu[:, 0]
     # A body that points straight up or down has no heading; its second axis then takes the first one's place.
-    if np.hypot(forward[0], forward[1]) < 0.1:
+    if np.hypot(forward[0], forward[1]) < _HEADING_MIN:
         forward = np.cross(end.R_odom_imu[:, 1], np.array([0.0, 0.0, 1.0]))
     R_new_old = so3.exp(np.array([0.0, 0.0, -np.arctan2(forward[1], forward[0])]))
     g_new = R_new_old @ state.g_odom
     covariance = state.covariance.copy()
     magnitude = float(np.linalg.norm(state.g_odom))
     turn = np.eye(len(covariance))
-    turn[3:6, 3:6] = turn[6:9, 6:9] = R_new_old
+    turn[POSITION, POSITION] = turn[VELOCITY, VELOCITY] = R_new_old
     if magnitude > 0.0:
-        turn[15:17, 15:17] = s2.basis(g_new / magnitude).T @ R_new_old @ s2.basis(state.g_odom / magnitude)
+        turn[GRAVITY, GRAVITY] = s2.basis(g_new / magnitude).T @ R_new_old @ s2.basis(state.g_odom / magnitude)
     return replace(
         state,
         R_odom_imu=R_new_old @ state.R_odom_imu,

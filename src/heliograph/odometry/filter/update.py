@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import NavState
+from heliograph.data.error_layout import POSE, POSITION, ROTATION
 from heliograph.odometry.filter.error_state import local, reset_jacobian, retract
 
-__all__ = ["Linearization", "UpdateResult", "embedded", "iterated_update"]
+__all__ = ["FilterUpdate", "Linearization", "embedded", "iterated_update"]
 
 Array = NDArray[np.float64]
 
@@ -46,11 +47,11 @@ L = TypeVar("L", bound=Linearization)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UpdateResult(Generic[L]):
+class FilterUpdate(Generic[L]):
     """The posterior, the measurement as linearised last, and whether the iteration settled."""
 
     state: NavState
-    linearization: L
+    measurement: L
     iterations: int
     converged: bool
     nis: float
@@ -74,7 +75,7 @@ def iterated_update(
     tolerance_position: float,
     settled: Callable[[int], bool] = lambda _: True,
     considered: Array | None = None,
-) -> UpdateResult[L]:
+) -> FilterUpdate[L]:
     """Find the state that fits prior and measurement best, by Gauss-Newton, and its covariance.
 
     Parameters
@@ -108,8 +109,8 @@ def iterated_update(
             step = step - considered @ step
         before, state = state, retract(state, step)
         small = (
-            float(np.linalg.norm(step[0:3])) < tolerance_rotation
-            and float(np.linalg.norm(step[3:6])) < tolerance_position
+            float(np.linalg.norm(step[ROTATION])) < tolerance_rotation
+            and float(np.linalg.norm(step[POSITION])) < tolerance_position
         )
         if small and settled(iteration):
             converged = True
@@ -119,12 +120,12 @@ def iterated_update(
     if considered is not None:
         # The gain of all else is the optimal one, so only the block of what stayed differs from the full update's.
         covariance += considered @ (J_step @ P @ J_step.T - covariance) @ considered.T
-    total = local(prior, state)[:6]
-    moved = prior.covariance[:6, :6] - covariance[:6, :6]
+    total = local(prior, state)[POSE]
+    moved = prior.covariance[POSE, POSE] - covariance[POSE, POSE]
     nis = _normalised_square(total, moved)
-    return UpdateResult(
+    return FilterUpdate(
         state=replace(state, covariance=0.5 * (covariance + covariance.T)),
-        linearization=measurement,
+        measurement=measurement,
         iterations=iteration + 1,
         converged=converged,
         nis=nis,

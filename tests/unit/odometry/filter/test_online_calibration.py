@@ -9,14 +9,16 @@ from scipy.stats import chi2
 from heliograph.cloud import deskew
 from heliograph.config import ImuConfig, RunConfig
 from heliograph.data import ImuBatch, NavState, Rig, Scan
+from heliograph.data.error_layout import CALIBRATION, CLOCK, DRIFT
 from heliograph.errors import ConfigError
 from heliograph.imu import propagate
 from heliograph.imu.clock_shift import clock_shift
 from heliograph.lie import so3
 from heliograph.odometry import FilterOdometry
-from heliograph.odometry.filter.calibration_gate import CALIBRATION, CalibrationGate, with_calibration
-from heliograph.odometry.filter.error_state import CLOCK, DRIFT, local, retract
-from heliograph.odometry.filter.matching import with_clock
+from heliograph.odometry.filter.calibrating import calibration_of
+from heliograph.odometry.filter.calibration_gate import CalibrationGate, with_calibration
+from heliograph.odometry.filter.error_state import local, retract
+from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.motion import MotionModel, rate_change, sweep_path
 from heliograph.odometry.filter.remounting import anchoring
 from heliograph.odometry.filter.update import iterated_update
@@ -46,9 +48,8 @@ def transition_column(motion, state, imu, end_ns, index):
     """Of what a prediction makes of the covariance: the derivative of its errors by one of those before."""
     one = np.zeros_like(state.covariance)
     one[index, index] = 1.0
-    with_it, _ = motion.predict(replace(state, covariance=one), imu, end_ns)
-    without, _ = motion.predict(replace(state, covariance=np.zeros_like(one)), imu, end_ns)
-    return (with_it.covariance - without.covariance)[:, index]
+    growth = motion.predict(state, imu, end_ns).growth
+    return (growth.grown(one) - growth.grown(np.zeros_like(one)))[:, index]
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -56,10 +57,10 @@ def test_clock_shift_is_the_derivative_of_the_prediction(seed):
     rng = np.random.default_rng(seed)
     state, imu = replace(random_state(rng, dim=25), imu_offset=0.0), smooth_imu(rng)
     motion, end_ns = MotionModel(EXACT, FILTER, QUIET), START_NS + 100_000_000
-    ahead, _ = motion.predict(state, imu, end_ns)
+    ahead = motion.predict(state, imu, end_ns).state
 
     def moved(offset):
-        return local(ahead, motion.predict(replace(state, imu_offset=float(offset[0])), imu, end_ns)[0])
+        return local(ahead, motion.predict(replace(state, imu_offset=float(offset[0])), imu, end_ns).state)
 
     expected = transition_column(motion, state, imu, end_ns, CLOCK)
     # The signals are means over 30 ms, which takes 0.3 % off what changes as fast as these do.
@@ -75,11 +76,11 @@ def test_drift_moves_the_offset_and_by_half_of_it_the_prediction(seed):
     t = (imu.stamps_ns - START_NS)[:, None] * 1e-9
     imu = replace(imu, gyro=rng.normal(size=3) + 10.0 * t * rng.normal(size=3), accel=50.0 * t * rng.normal(size=3))
     motion, end_ns = MotionModel(EXACT, FILTER, QUIET), START_NS + 20_000_000
-    ahead, _ = motion.predict(state, imu, end_ns)
+    ahead = motion.predict(state, imu, end_ns).state
 
     def moved(drift):
         changed = replace(state, imu_drift=state.imu_drift + float(drift[0]))
-        return local(ahead, motion.predict(changed, imu, end_ns)[0])
+        return local(ahead, motion.predict(changed, imu, end_ns).state)
 
     expected = transition_column(motion, state, imu, end_ns, DRIFT)
     assert expected[CLOCK] == pytest.approx(0.02)
@@ -96,7 +97,7 @@ def test_prediction_with_the_true_clock_is_that_of_true_stamps(rng):
     motion = MotionModel(EXACT, FILTER, QUIET)
     exact, drifting = replace(state, imu_offset=0.0, imu_drift=0.0), state
     for end_ns in START_NS + np.array([60, 120, 200]) * 1_000_000:
-        exact, drifting = motion.predict(exact, imu, int(end_ns))[0], motion.predict(drifting, late, int(end_ns))[0]
+        exact, drifting = (motion.predict(s, i, int(end_ns)).state for s, i in ((exact, imu), (drifting, late)))
     np.testing.assert_allclose(local(exact, drifting)[:17], 0.0, atol=1e-7)
     assert drifting.imu_offset == pytest.approx(state.imu_offset + 0.2 * state.imu_drift, rel=1e-12)
     assert drifting.imu_drift == state.imu_drift
@@ -155,8 +156,9 @@ def test_column_of_the_clock_is_the_derivative_of_the_deskewed_residual(seed):
     m = after.R_odom_imu.T @ n
     turn = np.cross(seen([0.0]), m)
     J = np.concatenate([turn, n, -before * n, before * turn])
-    equations = with_clock(_equations(J, 0.5), rate_change(path))
-    A, b = equations.information, equations.gradient
+    measurement = ScanMeasurement.of(_equations(J, 0.5)).with_clock(rate_change(path))
+    A, b = measurement.information, measurement.gradient
+    np.testing.assert_array_equal(measurement.columns, [*range(12), CLOCK])
     column = A[12, 3:6] @ n
     assert b[12] == pytest.approx(0.5 * column)
     assert A[12, 12] == pytest.approx(column**2)
@@ -169,7 +171,7 @@ def test_column_of_the_clock_is_the_derivative_of_the_deskewed_residual(seed):
 def _equations(J, r):
     """The sums over one residual with unit noise."""
     return NormalEquations(
-        information=np.outer(J, J), gradient=J * r, columns=np.arange(12), weight=1.0, robust_weight=1.0,
+        information=np.outer(J, J), gradient=J * r, blocks=("pose", "motion"), weight=1.0, robust_weight=1.0,
         square=r * r, cost=0.5 * r * r, matches=1, fallback_matches=0, queries=1,
     )  # fmt: skip
 
@@ -264,7 +266,7 @@ def test_a_long_rest_opens_nothing():
     config = replace(FILTER, estimate_time_offset=True)
     state, motion = with_calibration(rest_state(), config), MotionModel(ImuConfig(), config, NOISE)
     gate, imu = CalibrationGate.at_start(state, config), resting(1200.0)
-    gate = gate.predicted(motion, state, imu, START_NS + 1_200_000_000_000)
+    gate = gate.predicted(motion.predict(state, imu, START_NS + 1_200_000_000_000).growth)
     np.testing.assert_array_equal(gate.directions()[0], 1.0)
     np.testing.assert_allclose(gate.considered()[CALIBRATION, CALIBRATION], np.diag(np.r_[np.zeros(6), 1.0, 1.0]))
     assert np.sqrt(gate.covariance[CLOCK, CLOCK]) == pytest.approx(np.hypot(0.02, 1200.0 * 50e-6), rel=1e-9)
@@ -278,7 +280,7 @@ def test_gate_opens_the_offset_before_the_drift_and_the_drift_by_how_the_offset_
     h[0, CLOCK] = 1.0 / 0.5e-3
     for seconds in np.arange(0.1, 20.0, 0.1):
         end_ns = START_NS + round(1e9 * seconds)
-        gate = gate.predicted(motion, state, imu, end_ns).updated(Linear(h, np.zeros(1)))
+        gate = gate.predicted(motion.predict(state, imu, end_ns).growth).updated(Linear(h, np.zeros(1)))
         state = replace(state, stamp_ns=end_ns)
         shut = np.diag(gate.considered())[[CLOCK, DRIFT]]
         opened.append(tuple(shut < 0.5))
@@ -306,7 +308,7 @@ def test_offset_follows_a_drift_that_is_only_considered_and_knows_how_well():
         K = P[:, :1] / (P[0, 0] + sigma**2) * [[1.0], [0.0]]
         P = (np.eye(2) - K @ [[1.0, 0.0]]) @ P @ (np.eye(2) - K @ [[1.0, 0.0]]).T + sigma**2 * K @ K.T
         states = [
-            _measured(motion.predict(s, imu, end_ns)[0], t + sigma * rng.normal(), h, shut)
+            _measured(motion.predict(s, imu, end_ns).state, t + sigma * rng.normal(), h, shut)
             for s, t in zip(states, true, strict=True)
         ]
     np.testing.assert_allclose(states[0].covariance[23:, 23:], P, rtol=1e-9)
@@ -328,7 +330,7 @@ def _measured(prior, offset, h, considered):
 def test_what_is_not_estimated_has_no_direction():
     state = replace(random_state(np.random.default_rng(0)), covariance=np.eye(17))
     assert with_calibration(state, FILTER) is state
-    assert CalibrationGate.at_start(state, FILTER) is None
+    assert calibration_of(state, FILTER).account(state) is None
     config = replace(FILTER, estimate_time_offset=True)
     gate = CalibrationGate.at_start(with_calibration(state, config), config)
     gains, directions = gate.directions()

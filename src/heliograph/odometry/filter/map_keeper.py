@@ -1,0 +1,75 @@
+"""The local map in the filter's hands: what is inserted, forgotten and begun anew, and how far its frame may drift."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.config import FilterConfig
+from heliograph.data import NavState
+from heliograph.maps import LocalMap
+from heliograph.odometry.filter.drift import MapDrift
+
+__all__ = ["MapKeeper"]
+
+Array = NDArray[np.float64]
+
+_PRUNE_DISTANCE = 10.0  # the map is pruned when the sensor has gone this far [m]
+
+
+class MapKeeper:
+    """A local map, how many scans it holds, and the drift of its frame.
+
+    Parameters
+    ----------
+    local_map : LocalMap
+    config : FilterConfig
+    centre : (3,) float64
+        Where the sensor is, odom frame [m].
+    """
+
+    def __init__(self, local_map: LocalMap, config: FilterConfig, centre: Array) -> None:
+        self.map = local_map
+        self.scans = 0
+        """Scans inserted since the map was begun."""
+        self._drift = MapDrift(config.systematic)
+        self._pruned_at = centre
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing can be matched."""
+        return len(self.map) == 0
+
+    def extend(
+        self, points_imu: NDArray[np.float32], pose: Array, state: NavState, *, sigma: float, matched: bool
+    ) -> None:
+        """Insert a scan, account for what the map's frame may have drifted by that, and forget what is far away.
+
+        Parameters
+        ----------
+        points_imu : (N, 3) float32
+            De-skewed points [m].
+        pose : (4, 4) float64
+            Where to insert them.
+        state : NavState
+            The state at the scan's end.
+        sigma : float
+            Range noise across planes [m].
+        matched : bool
+            Whether the scan's pose was matched to the map, or defines it.
+        """
+        self.scans = 1 if self.empty else self.scans + 1
+        share = self.map.insert(points_imu, pose)
+        self._drift.grow(state, share, sigma=sigma, matched=matched)
+        if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:
+            self.map.prune(state.p_odom)
+            self._pruned_at = state.p_odom
+
+    def begin_anew(self, state: NavState, *, sigma: float) -> None:
+        """Forget the map; the next scan's pose ties the new one to the odom frame, with the error that it has now."""
+        self._drift.grow(state, 1.0, sigma=sigma, matched=True)
+        self.map.clear()
+
+    def pose_covariance(self, state: NavState) -> Array:
+        """Return the covariance of rotation (body) and position (odom) against the odom frame's origin, (6, 6)."""
+        return self._drift.pose_covariance(state)

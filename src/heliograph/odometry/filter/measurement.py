@@ -1,0 +1,73 @@
+"""One scan as a measurement of the filter's errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.data.error_layout import CLOCK, GYRO_BIAS, MOUNTING, POSE, VELOCITY
+from heliograph.registration import NormalEquations
+
+__all__ = ["ScanMeasurement"]
+
+Array = NDArray[np.float64]
+
+_ERRORS = {"pose": POSE, "motion": slice(VELOCITY.start, GYRO_BIAS.stop), "mounting": MOUNTING}
+"""Which errors the registration's blocks are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanMeasurement:
+    """A `Linearization` of the matches of one scan.
+
+    Parameters
+    ----------
+    columns : (C,) int
+        Which errors of the state the rows and columns are.
+    information : (C, C) float64
+        Weighted ``J^T J``.
+    gradient : (C,) float64
+        Weighted ``J^T r``.
+    sums : NormalEquations
+        What the registration found, every match counting as an independent one.
+    """
+
+    columns: NDArray[np.intp]
+    information: Array
+    gradient: Array
+    sums: NormalEquations
+
+    @classmethod
+    def of(cls, sums: NormalEquations) -> ScanMeasurement:
+        """Return the measurement that counts every match in full."""
+        columns = np.concatenate([np.arange(_ERRORS[block].start, _ERRORS[block].stop) for block in sums.blocks])
+        return cls(columns=columns, information=sums.information, gradient=sums.gradient, sums=sums)
+
+    def at_mounting(self, error: Array) -> ScanMeasurement:
+        """Return the measurement for a mounting that differs by ``error`` (6,) from the one of map and scan.
+
+        The residuals follow to first order.
+        """
+        mounting = self.sums.columns_of("mounting")
+        return replace(self, gradient=self.gradient + self.information[:, mounting] @ error)
+
+    def with_clock(self, rate_change: Array) -> ScanMeasurement:
+        """Return the measurement with the column of the clock's offset.
+
+        Within the sweep an offset acts as a gyroscope bias of minus the rates' change ``rate_change`` (3,) [rad/s^2].
+        """
+        size = len(self.columns)
+        G = np.eye(size, size + 1)
+        G[np.searchsorted(self.columns, np.arange(GYRO_BIAS.start, GYRO_BIAS.stop)), size] = -rate_change
+        return replace(
+            self,
+            columns=np.append(self.columns, CLOCK),
+            information=G.T @ self.information @ G,
+            gradient=G.T @ self.gradient,
+        )
+
+    def scaled(self, share: float) -> ScanMeasurement:
+        """Return the measurement that counts only ``share`` of the matches as independent."""
+        return replace(self, information=share * self.information, gradient=share * self.gradient)
