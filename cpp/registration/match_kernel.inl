@@ -334,8 +334,10 @@ inline void jacobian_row(const MatchInput& in, uint64_t k, const FoundPlane& pla
                          double* J) {
   double m[3];
   pose_row(in, in.points + 3 * k, n, m, J);
-  if (in.before_end != nullptr) motion_row(in.before_end[k], n, J, J + 6);
-  if (in.T_body_lidar != nullptr) mounting_row(in, plane, q, n, J + in.columns - 6);
+  if (in.columns == 6) return;
+  if (in.before_end == nullptr) return mounting_row(in, plane, q, n, J + 6);
+  motion_row(in.before_end[k], n, J, J + 6);
+  if (in.columns == 18) mounting_row(in, plane, q, n, J + 12);
 }
 
 inline void accumulate(const double* J, int columns, double r, double w, double inv_var, NormalSums* sums) {

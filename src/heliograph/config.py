@@ -86,6 +86,8 @@ class ImuConfig:
         A longer distance between samples counts as a gap [s].
     hold : float
         How long the nearest sample is held outside the samples and in gaps; then the body is taken to coast [s].
+    patience : float
+        A scan waits for samples up to its end until messages have run one sample period and this much past it [s].
     held_gyro_noise, held_accel_noise : float
         White noise added while samples are held or bridged [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
     start_window : float
@@ -121,6 +123,7 @@ class ImuConfig:
     max_step: float = 0.005
     max_gap: float = 0.25
     hold: float = 0.1
+    patience: float = 0.05
     held_gyro_noise: float = 0.1
     held_accel_noise: float = 1.0
     start_window: float = 1.0
@@ -150,7 +153,9 @@ class ImuConfig:
             "still_block",
         )
         check_range(self, *positive, "gyro_bias_sigma", "accel_bias_sigma", above=0.0)
-        check_range(self, "gyro_walk", "accel_walk", "curvature", "hold", "start_window", "moving_window", low=0.0)
+        check_range(
+            self, "gyro_walk", "accel_walk", "curvature", "hold", "patience", "start_window", "moving_window", low=0.0
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,6 +270,13 @@ class FilterConfig:
         A scan that does not match while its position is known no better than this counts as lost [m].
     degenerate_translation, degenerate_rotation : float
         A per-measurement eigenvalue below it makes a direction count as blind.
+    typical_range : float
+        Distance that stands for the cloud where the error of a predicted rotation opens the kernel [m].
+    unknown_speed, unknown_rate : float
+        One-sigma of speed and rate at the start where nothing tells them: without an IMU, and before a start in motion
+        is aligned [m/s], [rad/s].
+    tried_speeds : tuple of float
+        Speeds tried at the start, forwards and backwards, where the LiDAR is blind along its way [m/s].
     constant_velocity_accel, constant_velocity_gyro : float
         Noise of the motion model that stands in for a missing IMU [m/s^2/sqrt(Hz)], [rad/s^2/sqrt(Hz)].
     estimate_mounting, estimate_time_offset : bool
@@ -296,6 +308,10 @@ class FilterConfig:
     lost_sigma: float = 3.0
     degenerate_translation: float = 0.01
     degenerate_rotation: float = 0.003
+    typical_range: float = 15.0
+    unknown_speed: float = 5.0
+    unknown_rate: float = 1.0
+    tried_speeds: tuple[float, ...] = (12.0, 24.0, 36.0)
     constant_velocity_accel: float = 3.0
     constant_velocity_gyro: float = 3.0
     estimate_mounting: bool = False
@@ -310,6 +326,7 @@ class FilterConfig:
         check_range(self, "max_iterations", "min_matches", low=1)
         check_range(self, "sigma", "min_sigma", "max_sigma", "kernel", "gate", "max_kernel", "correlation", above=0.0)
         check_range(self, "tolerance_rotation", "tolerance_position", "lost_sigma", above=0.0)
+        check_range(self, "typical_range", "unknown_speed", "unknown_rate", "tried_speeds", above=0.0)
         check_range(self, "mounting_rotation_sigma", "mounting_lever_sigma", "time_offset_sigma", above=0.0)
         check_range(self, "calibration_gain", low=1.0)
         check_range(self, "systematic", "fallback_stride", "vague_share", low=0)

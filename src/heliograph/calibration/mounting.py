@@ -51,7 +51,7 @@ class MountingAlignment:
     rig : Rig
         With the sigmas that remain; the run takes it as given.
     sigma_rotation : (3,) float64
-        Of the rotation alone about the lidar axes, from turns [rad].
+        Sigma of the rotation alone about the lidar axes, from turns [rad].
     duration : float
         Data used [s].
     events : tuple of Event
@@ -146,7 +146,7 @@ def align_rotations(turns_lidar: Array, turns_imu: Array, spans: Array) -> tuple
     -------
     R_imu_lidar : (3, 3) float64
     covariance : (3, 3) float64
-        Of its error about the lidar axes [rad^2]; large along an axis about which nothing else was seen to turn.
+        Covariance of its error about the lidar axes [rad^2]; large along an axis about which nothing else turned.
     """
     bias, R = np.zeros(3), np.eye(3)
     for _ in range(20):

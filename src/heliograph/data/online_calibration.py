@@ -1,4 +1,4 @@
-"""Mounting and clock as the filter believes them while it runs."""
+"""Mounting and clock as the filter estimates them while it runs."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ CALIBRATION_NAMES = (
     "clock offset",
     "clock drift",
 )
-_MOSTLY = 0.5  # share of an error's prior variance that lies in directions kept
+_MAIN_SHARE = 0.5  # share of an error's prior variance that lies in directions kept
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OnlineCalibration:
-    """Estimates of mounting and clock, and which directions the motion has not told enough about.
+    """Estimates of mounting and clock, and which directions the motion has not excited enough.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class OnlineCalibration:
     imu_drift : float
         Change of the offset with time, likewise [s/s].
     sigma : (8,) float64
-        Of `CALIBRATION_NAMES` [rad], [m], [s], [s/s]; 0 for what is not estimated.
+        Standard deviations of `CALIBRATION_NAMES` [rad], [m], [s], [s/s]; 0 for what is not estimated.
     gains : (M,) float64
         How many times better than at the start each direction is known by the scans, ascending.
     directions : (8, M) float64
@@ -59,7 +59,7 @@ class OnlineCalibration:
     def kept_names(self) -> tuple[str, ...]:
         """What mostly lies in directions that were kept."""
         share = (self.directions[:, self.kept] ** 2).sum(axis=1)
-        return tuple(name for name, s in zip(CALIBRATION_NAMES, share, strict=True) if s > _MOSTLY)
+        return tuple(name for name, s in zip(CALIBRATION_NAMES, share, strict=True) if s > _MAIN_SHARE)
 
     def summary(self) -> dict[str, object]:
         """Return it as plain values for ``run.json``."""

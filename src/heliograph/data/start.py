@@ -18,7 +18,7 @@ def _unknown() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartAccount:
-    """The start's kind, its verdict, and sigmas of what was found; NaN where the kind of start does not tell.
+    """The start's kind, its verdict, and sigmas of what was found; NaN where the kind of start has none.
 
     Parameters
     ----------
@@ -31,13 +31,13 @@ class StartAccount:
     duration : float
         Data that it rests on [s].
     gravity_sigma : float
-        Of the direction of gravity seen from the body, in its worst direction [rad].
+        Sigma of the direction of gravity seen from the body, in its worst direction [rad].
     velocity_sigma : float
-        In its worst direction [m/s].
+        Sigma of the velocity in its worst direction [m/s].
     gyro_bias_sigma, accel_bias_sigma : (3,) float64
         [rad/s], [m/s^2].
     accel_scale, accel_scale_sigma : float
-        What the accelerometer shows for each m/s^2, where the motion told it.
+        What the accelerometer shows for each m/s^2, where the motion excites it.
     stillness : float
         Largest test of stillness as a share of its limit; below one at rest.
     turned : float
@@ -47,7 +47,7 @@ class StartAccount:
     misfit : float
         Squared error of the alignment in units of its variance, 1 or less when all is well.
     unobservable : tuple of str
-        What the motion did not tell.
+        What the motion did not excite.
     """
 
     kind: str

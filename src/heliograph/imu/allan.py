@@ -16,9 +16,9 @@ __all__ = ["AllanCurve", "allan_curve", "degrees_of_freedom"]
 
 Array = NDArray[np.float64]
 
-_PER_OCTAVE = 4  # averaging times
-_OVERLAP = 8  # differences taken within one averaging time; more of them tell nothing new
-_INNER = 0.6827  # probability inside one sigma
+_TIMES_PER_OCTAVE = 4  # averaging times
+_MAX_OVERLAP = 8  # differences taken within one averaging time; more of them tell nothing new
+_ONE_SIGMA_SHARE = 0.6827  # probability inside one sigma
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class AllanCurve:
     lengths: NDArray[np.int64]
     period: float
 
-    def interval(self, noise: Sequence[str], channel: int, probability: float = _INNER) -> Array:
+    def interval(self, noise: Sequence[str], channel: int, probability: float = _ONE_SIGMA_SHARE) -> Array:
         """Return the interval that holds the true deviation of a channel, (t, 2) [rad/s] or [m/s^2].
 
         Parameters
@@ -55,7 +55,7 @@ class AllanCurve:
         channel : int
             0 to 5.
         probability : float
-            Of the interval.
+            Probability that the interval holds the truth.
 
         Notes
         -----
@@ -96,7 +96,7 @@ def allan_curve(grid: Grid) -> AllanCurve:
     longest = max((len(stretch) for stretch in grid.stretches), default=0)
     if longest < 3:
         raise DataError(f"{longest} samples in a row at rest; an Allan deviation needs at least 3")
-    octaves = np.arange(0.0, np.log2(longest / 3.0) + 1e-9, 1.0 / _PER_OCTAVE)
+    octaves = np.arange(0.0, np.log2(longest / 3.0) + 1e-9, 1.0 / _TIMES_PER_OCTAVE)
     sizes = np.unique(np.rint(2.0**octaves).astype(np.int64))
     total, terms = np.zeros((len(sizes), 6)), np.zeros(len(sizes), np.int64)
     for stretch in grid.stretches:
@@ -114,7 +114,7 @@ def allan_curve(grid: Grid) -> AllanCurve:
 
 
 def _strides(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.maximum(sizes // _OVERLAP, 1)
+    return np.maximum(sizes // _MAX_OVERLAP, 1)
 
 
 def _summed_squares(signal: Array, sizes: NDArray[np.int64]) -> Array:

@@ -12,11 +12,13 @@ __all__ = ["Bands", "band_spectrum"]
 
 Array = NDArray[np.float64]
 
-_SINGLE = 128  # coefficients that are kept one by one before bands begin
+_SINGLE_COUNT = 128  # coefficients that are kept one by one before bands begin
 _PER_OCTAVE = 32  # bands
-_FIRST_LINE, _BLOCK = 1024, 256  # the coefficient from which lines are looked for, and neighbours they are told by
-_LINE = 30.0  # a coefficient so many times its neighbours' level stands out: by chance once in some millions
-_TOGETHER = 16  # coefficients; three that stand out within so many of each other are told as a line
+_FIRST_LINE, _BLOCK = 1024, 256  # the coefficient from which lines are looked for, and neighbours they are held against
+_LINE_RATIO = (
+    30.0  # a coefficient at this multiple of its neighbours' level stands out: by chance once in some millions
+)
+_LINE_WIDTH = 16  # coefficients; three that stand out this close to each other are one line
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +32,7 @@ class Bands:
     power : (b,) float64
         Two-sided spectral density; its expectation is the true one [unit^2/Hz].
     count : (b,) float64
-        Coefficients in each; ``count * power / truth`` is chi-square with so many degrees of freedom.
+        Coefficients in each; ``count * power / truth`` is chi-square with this many degrees of freedom.
     root : (b,) float64
         The coefficient itself where the band holds a single one, else 0 [unit/sqrt(Hz)].
     ramp : (b,) float64
@@ -121,7 +123,7 @@ def _stretch_bands(signal: Array, period: float) -> tuple[Array, Array, Array, A
     n = len(signal)
     root = np.sqrt(period) * cosine_coefficients(signal - signal.mean())
     frequency = np.arange(1, n) / (2.0 * n * period)
-    single = min(_SINGLE, n - 1)
+    single = min(_SINGLE_COUNT, n - 1)
     ramp = period**1.5 * ramp_coefficients(n, single)
     power = root[single:] ** 2
     line = np.zeros(len(power), dtype=bool)
@@ -159,13 +161,13 @@ def _lines(power: Array) -> NDArray[np.bool_]:
     level = np.maximum(np.maximum(padded[:-2], padded[2:]), level)
     every = np.repeat(level, _BLOCK)
     every = np.concatenate([every, np.full(len(power) - len(every), level[-1])])
-    return np.asarray(power > _LINE * every) & (every > 0.0)
+    return np.asarray(power > _LINE_RATIO * every) & (every > 0.0)
 
 
 def _peaks(frequency: Array, line: NDArray[np.bool_]) -> list[float]:
-    """Return one frequency for each group of neighbouring lines; a lone coefficient may be chance and is not told."""
+    """Return one frequency for each group of neighbouring lines; a lone coefficient may be chance and is left out."""
     places = np.flatnonzero(line)
     if not len(places):
         return []
-    groups = np.split(places, np.flatnonzero(np.diff(places) > _TOGETHER) + 1)
+    groups = np.split(places, np.flatnonzero(np.diff(places) > _LINE_WIDTH) + 1)
     return [float(np.median(frequency[group])) for group in groups if len(group) >= 3]

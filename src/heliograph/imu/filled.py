@@ -12,7 +12,9 @@ from heliograph.errors import DataError
 
 __all__ = ["drop_filled"]
 
-_SHARE = 1e-3  # of the usual distance from the neighbours' line: real samples carry noise, filled ones only rounding
+_DISTANCE_SHARE = (
+    1e-3  # of the usual distance from the neighbours' line: real samples carry noise, filled ones only rounding
+)
 
 
 def drop_filled(imu: ImuBatch, *, least: int = 5) -> tuple[ImuBatch, NDArray[np.int64]]:
@@ -25,7 +27,7 @@ def drop_filled(imu: ImuBatch, *, least: int = 5) -> tuple[ImuBatch, NDArray[np.
     Parameters
     ----------
     imu : ImuBatch
-        Of one recording.
+        Samples of one recording.
     least : int
         The fewest samples of a filled gap.
 
@@ -50,7 +52,7 @@ def drop_filled(imu: ImuBatch, *, least: int = 5) -> tuple[ImuBatch, NDArray[np.
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     off = np.abs(readings[1:-1] - readings[:-2] - share * (readings[2:] - readings[:-2]))
     usual = np.median(off, axis=0)
-    on_line = np.concatenate([[False], ((off < _SHARE * usual) | (usual == 0.0)).all(axis=1), [False]])
+    on_line = np.concatenate([[False], ((off < _DISTANCE_SHARE * usual) | (usual == 0.0)).all(axis=1), [False]])
     if not usual.any():
         return imu, none
     edges = np.flatnonzero(np.diff(on_line.astype(np.int8))) + 1

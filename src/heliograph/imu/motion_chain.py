@@ -78,11 +78,11 @@ class ChainStep:
     shared : (9,) float64
         The step.
     covariance : (18, 18) float64
-        Of the first instant and the shared unknowns together.
+        Covariance of the first instant and the shared unknowns together.
     information : (18, 18) float64
         The same without the prior on the shared unknowns: what the data alone say.
     velocity_covariance : (N + 1, 3, 3) float64
-        Of each instant.
+        Covariance of each instant's velocity.
     cost : float
         Sum of the squared, whitened residuals where the chain was linearised.
     """

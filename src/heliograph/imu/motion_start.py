@@ -26,16 +26,16 @@ __all__ = ["ImuExcitation", "MotionStart", "align_motion"]
 
 Array = NDArray[np.float64]
 
-_MOST_ITERATIONS = 12
-_SETTLED = 1e-5  # largest step of any unknown at which the iteration has converged [rad], [m], [m/s] ...
+_MAX_ITERATIONS = 12
+_SETTLED_STEP = 1e-5  # largest step of any unknown at which the iteration has converged [rad], [m], [m/s] ...
 # Poses count as known no better than this, so that one that is exact by definition can be weighed against others.
-_LEAST_ROTATION, _LEAST_POSITION = 1e-5, 1e-4
-_UNSEEN = 0.7  # a bias whose sigma the data left above this share of its prior was not observed
+_MIN_ROTATION_SIGMA, _MIN_POSITION_SIGMA = 1e-5, 1e-4
+_UNOBSERVED_SHARE = 0.7  # a bias whose sigma the data left above this share of its prior was not observed
 _GOOD_TILT, _FAIR_TILT = np.radians(0.5), np.radians(2.0)
 _GOOD_SPEED, _FAIR_SPEED = 0.1, 0.5  # [m/s]
 # Squared error in units of its variance, on average, from which poses and IMU contradict each other.
-_STRAINED, _CONTRADICTORY = 4.0, 25.0
-_HELD_SCALE = 1e-6  # sigma of the logarithm of a scale that is not asked for
+_STRAINED_MISFIT, _CONTRADICTORY_MISFIT = 4.0, 25.0
+_HELD_SCALE_SIGMA = 1e-6  # sigma of the logarithm of a scale that is not asked for
 _AXES = "xyz"
 
 
@@ -82,10 +82,10 @@ class MotionStart:
     g_odom : (3,) float64
         Gravity [m/s^2].
     covariance : (18, 18) float64
-        Of the first instant: rotation (body), position, velocity (odom), gyro bias, accelerometer bias, gravity
-        direction on S(2), logarithm of the scale.
+        Covariance at the first instant: rotation (body), position, velocity (odom), gyro bias, accelerometer bias,
+        gravity direction on S(2), logarithm of the scale.
     information : (18, 18) float64
-        Of the data without the priors on biases and scale.
+        Information of the data without the priors on biases and scale.
     excitation : ImuExcitation
     misfit : float
         Squared error in units of its variance, on average over the degrees of freedom; about 1 when noise and
@@ -141,7 +141,7 @@ class MotionStart:
 
     @property
     def accel_scale_sigma(self) -> float:
-        """Of the scale; its prior's where it was not observed."""
+        """Sigma of the scale; its prior's where it was not observed."""
         return float(self.accel_scale * np.sqrt(self.covariance[LOG_SCALE, LOG_SCALE]))
 
 
@@ -229,15 +229,15 @@ def _settled(
 ) -> tuple[Chain, ChainStep, int, bool]:
     """Repeat Gauss-Newton steps, each on motion integrated anew with the biases found, until they are negligible."""
     # A scale that is held has the narrowest of priors: the same algebra serves both.
-    weight = np.where(np.isfinite(sigmas), np.maximum(sigmas, _HELD_SCALE) ** -2.0, 0.0)
-    for iteration in range(1, _MOST_ITERATIONS + 1):
+    weight = np.where(np.isfinite(sigmas), np.maximum(sigmas, _HELD_SCALE_SIGMA) ** -2.0, 0.0)
+    for iteration in range(1, _MAX_ITERATIONS + 1):
         deltas = between(chain.gyro_bias, chain.accel_bias)
         off = np.concatenate([chain.gyro_bias, chain.accel_bias, np.zeros(2), [chain.log_scale]])
         solution = relax(chain, deltas, measured, (off, weight))
         chain = chain.moved(solution.nodes, solution.shared)
-        if solution.largest < _SETTLED:
+        if solution.largest < _SETTLED_STEP:
             return chain, solution, iteration, True
-    return chain, solution, _MOST_ITERATIONS, False
+    return chain, solution, _MAX_ITERATIONS, False
 
 
 def _check(poses: Trajectory, pose_covariance: Array, imu: ImuBatch, T_imu_lidar: Array | None) -> None:
@@ -267,7 +267,7 @@ def _measurements(
         J[:, 0:3, 0:3] = T_lidar_imu[:3, :3].T
         J[:, 3:6, 0:3] = -T[:, :3, :3] @ so3.hat(T_lidar_imu[:3, 3])
         T, P = T @ T_lidar_imu, J @ P @ np.swapaxes(J, -1, -2)
-    least = np.repeat([_LEAST_ROTATION**2, _LEAST_POSITION**2], 3)
+    least = np.repeat([_MIN_ROTATION_SIGMA**2, _MIN_POSITION_SIGMA**2], 3)
     information: Array = np.asarray(np.linalg.inv(P + np.diag(least)), dtype=np.float64)
     stamps, R, p = poses.stamps_ns, T[:, :3, :3], T[:, :3, 3]
     if begin_ns is not None and begin_ns < stamps[0]:
@@ -357,8 +357,8 @@ def _unobserved(solution: ChainStep, sigmas: Array) -> tuple[str, ...]:
     """Name what the data left nearly as uncertain as it was before them."""
     after = np.sqrt(np.diag(solution.covariance)[9:18])
     names = [*(f"gyro bias {axis}" for axis in _AXES), *(f"accelerometer bias {axis}" for axis in _AXES)]
-    blind = [name for name, now, before in zip(names, after, sigmas, strict=False) if now > _UNSEEN * before]
-    if sigmas[8] > 0.0 and after[8] > _UNSEEN * sigmas[8]:
+    blind = [name for name, now, before in zip(names, after, sigmas, strict=False) if now > _UNOBSERVED_SHARE * before]
+    if sigmas[8] > 0.0 and after[8] > _UNOBSERVED_SHARE * sigmas[8]:
         blind.append("accelerometer scale")
     return tuple(blind)
 
@@ -373,7 +373,7 @@ def _tilt_covariance(R_odom_imu: Array, g_odom: Array, covariance: Array) -> Arr
 
 def _judged(found: MotionStart, *, settled: bool) -> MotionStart:
     """Add the verdict; where the data contradict themselves their covariance grows by as much."""
-    if found.misfit > _STRAINED:
+    if found.misfit > _STRAINED_MISFIT:
         found = replace(
             found,
             covariance=found.misfit * found.covariance,
@@ -385,7 +385,7 @@ def _judged(found: MotionStart, *, settled: bool) -> MotionStart:
         f"tilt +- {np.degrees(tilt):.2f} deg, velocity +- {speed:.3f} m/s, {found.excitation.poses} poses over "
         f"{found.excitation.duration:.1f} s that turned by {np.degrees(found.excitation.turned):.0f} deg"
     )
-    if not settled or found.misfit > _CONTRADICTORY:
+    if not settled or found.misfit > _CONTRADICTORY_MISFIT:
         why = (
             f"poses and IMU contradict each other (misfit {found.misfit:.0f} of 1)"
             if settled
@@ -394,7 +394,7 @@ def _judged(found: MotionStart, *, settled: bool) -> MotionStart:
         return replace(found, verdict="failed", reason=f"{why}; {numbers}")
     if tilt > _FAIR_TILT or speed > _FAIR_SPEED:
         verdict = "poor"
-    elif tilt > _GOOD_TILT or speed > _GOOD_SPEED or found.misfit > _STRAINED:
+    elif tilt > _GOOD_TILT or speed > _GOOD_SPEED or found.misfit > _STRAINED_MISFIT:
         verdict = "fair"
     else:
         verdict = "good"

@@ -16,12 +16,12 @@ __all__ = ["ChannelNoise", "TermEstimate", "fit_channel"]
 
 Array = NDArray[np.float64]
 
-_SEEN = 9.0  # twice the gain in log-likelihood that a term must bring: by chance once in 740 records
-_BOUND = 2.706  # the same, for a one-sided bound that holds with 95 %
-_TOLD_APART = 6.0  # the same by which one of flicker and walk must beat the other: one is twenty times as likely
-_WORTH = 2.0  # the same, for a term that is worth its coefficient without being shown (Akaike)
-_RAMP_SEEN, _RAMP_BOUND = 3.0, 1.645
-_SLOW = ("flicker", "walk")
+_SHOWN_GAIN = 9.0  # twice the gain in log-likelihood that a term must bring: by chance once in 740 records
+_BOUND_GAIN = 2.706  # the same, for a one-sided bound that holds with 95 %
+_DISTINCT_GAIN = 6.0  # the same by which one of flicker and walk must beat the other: one is twenty times as likely
+_AKAIKE_GAIN = 2.0  # the same, for a term that is worth its coefficient without being shown (Akaike)
+_RAMP_SHOWN_SIGMAS, _RAMP_BOUND_SIGMAS = 3.0, 1.645
+_SLOW_TERMS = ("flicker", "walk")
 _TOP_OCTAVES = 4  # that may be given up where the sensor's filter bends the spectrum
 _TOP_MISFIT = 0.15  # by how much an octave may miss the fit
 
@@ -104,11 +104,11 @@ def fit_channel(bands: Bands) -> ChannelNoise:
         return _silent(float(bands.frequency.max()))
     used, fit, told_apart = _trimmed(bands)
     simple, _ = _selected(used, ("quantisation", "white", "walk"))
-    shown = [name for name in fit.names if told_apart or name not in _SLOW]
-    if any(name in _SLOW for name in fit.names):
+    shown = [name for name in fit.names if told_apart or name not in _SLOW_TERMS]
+    if any(name in _SLOW_TERMS for name in fit.names):
         # A walk too weak to be shown still adds to what would else all be taken for flicker, and the other way round.
-        both = maximise(used, [name for name in TERMS if name in fit.names or name in _SLOW], fit)
-        if not told_apart or 2.0 * (both.log_likelihood - fit.log_likelihood) > _WORTH:
+        both = maximise(used, [name for name in TERMS if name in fit.names or name in _SLOW_TERMS], fit)
+        if not told_apart or 2.0 * (both.log_likelihood - fit.log_likelihood) > _AKAIKE_GAIN:
             fit = both
     terms = tuple(_estimate(name, fit, used, shown) for name in TERMS)
     walk = next(term for term in terms if term.name == "walk")
@@ -163,15 +163,17 @@ def _selected(bands: Bands, names: Sequence[str]) -> tuple[Fit, bool]:
     while len(kept) > 1:
         rivals = {name: maximise(bands, [k for k in kept if k != name], fit) for name in kept if name != "white"}
         least = max(rivals, key=lambda name: rivals[name].log_likelihood)
-        if 2.0 * (fit.log_likelihood - rivals[least].log_likelihood) >= _SEEN:
+        if 2.0 * (fit.log_likelihood - rivals[least].log_likelihood) >= _SHOWN_GAIN:
             break
         kept.remove(least)
         fit = rivals[least]
-    slow = [name for name in kept if name in _SLOW]
+    slow = [name for name in kept if name in _SLOW_TERMS]
     if len(slow) != 1 or "flicker" not in names:
         return fit, True
-    other = maximise(bands, [name for name in kept if name not in _SLOW] + [n for n in _SLOW if n not in slow])
-    return fit, 2.0 * (fit.log_likelihood - other.log_likelihood) >= _TOLD_APART
+    other = maximise(
+        bands, [name for name in kept if name not in _SLOW_TERMS] + [n for n in _SLOW_TERMS if n not in slow]
+    )
+    return fit, 2.0 * (fit.log_likelihood - other.log_likelihood) >= _DISTINCT_GAIN
 
 
 def _estimate(name: str, fit: Fit, bands: Bands, shown: Sequence[str]) -> TermEstimate:
@@ -195,11 +197,11 @@ def _upper(name: str, others: list[str], fit: Fit, bands: Bands) -> float:
     # From where it is most likely upwards; from nothing, if that is most likely, or from the first trace of it.
     trace = 1e-6 * float(np.min(bands.power.mean() / shape))
     low = high = max(float(with_it.squares[-1]), trace)
-    while drop(high) < _BOUND:
+    while drop(high) < _BOUND_GAIN:
         low, high = high, 4.0 * high
     while high > 1.02 * low:
         middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if drop(middle) < _BOUND else (low, middle)
+        low, high = (middle, high) if drop(middle) < _BOUND_GAIN else (low, middle)
     return float(np.sqrt(high))
 
 
@@ -210,12 +212,12 @@ def _ramp(fit: Fit, walk: TermEstimate, bands: Bands) -> TermEstimate:
         others = [name for name in fit.names if name != "walk"]
         fit = maximise(bands, others, fit, fixed=walk.upper**2 * shape)
     size = abs(fit.ramp)
-    seen = size > _RAMP_SEEN * fit.ramp_sigma
+    seen = size > _RAMP_SHOWN_SIGMAS * fit.ramp_sigma
     return TermEstimate(
         name=RAMP,
         value=size if seen else None,
         sigma=fit.ramp_sigma if seen else None,
-        upper=size + _RAMP_BOUND * fit.ramp_sigma,
+        upper=size + _RAMP_BOUND_SIGMAS * fit.ramp_sigma,
     )
 
 

@@ -15,11 +15,11 @@ __all__ = ["Fit", "maximise"]
 
 Array = NDArray[np.float64]
 
-_ROUNDS, _HALVINGS = 60, 12
-_LONGEST_STEP = 2.0  # of the logarithm of a squared coefficient
-_SETTLED = 1e-7  # gain in log-likelihood that ends the search
-_NOTHING = 1e-30
-_TRACE = 1e-3  # share of the density, where it is largest, below which a term ended at nothing
+_MAX_ROUNDS, _MAX_HALVINGS = 60, 12
+_MAX_STEP = 2.0  # of the logarithm of a squared coefficient
+_SETTLED_GAIN = 1e-7  # gain in log-likelihood that ends the search
+_ZERO_POWER = 1e-30
+_TRACE_SHARE = 1e-3  # share of the density, where it is largest, below which a term ended at nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,9 +83,9 @@ def maximise(bands: Bands, names: Sequence[str], start: Fit | None = None, *, fi
     rest = np.zeros(len(bands.frequency)) if fixed is None else fixed
     squares = _start(bands, names, shapes, start)
     point = _likelihood(bands, shapes, rest, squares)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         step = _step(point, squares)
-        for _ in range(_HALVINGS):
+        for _ in range(_MAX_HALVINGS):
             trial = squares * np.exp(step)
             there = _likelihood(bands, shapes, rest, trial)
             if there.value > point.value:
@@ -94,7 +94,7 @@ def maximise(bands: Bands, names: Sequence[str], start: Fit | None = None, *, fi
         else:
             break
         gain, squares, point = there.value - point.value, trial, there
-        if gain < _SETTLED:
+        if gain < _SETTLED_GAIN:
             break
     return Fit(
         names=tuple(names),
@@ -109,7 +109,7 @@ def maximise(bands: Bands, names: Sequence[str], start: Fit | None = None, *, fi
 def _log_covariance(point: _Point, squares: Array, shapes: Array, rest: Array) -> Array:
     """Return the inverse information of the logarithms; a term that ended at nothing takes no part and gets zeros."""
     share = (squares[:, None] * shapes / (rest + squares @ shapes)).max(axis=1)
-    active = np.ix_(share > _TRACE, share > _TRACE)
+    active = np.ix_(share > _TRACE_SHARE, share > _TRACE_SHARE)
     information = (point.information * np.outer(squares, squares))[active]
     covariance = np.zeros((len(squares), len(squares)))
     covariance[active] = np.linalg.pinv(information, hermitian=True)
@@ -122,7 +122,9 @@ def _start(bands: Bands, names: Sequence[str], shapes: Array, start: Fit | None)
     smooth = _smoothed(bands)
     return np.array(
         [
-            max(known.get(name, 0.0), _NOTHING) if name in known else max(0.5 * float(np.min(smooth / shape)), _NOTHING)
+            max(known.get(name, 0.0), _ZERO_POWER)
+            if name in known
+            else max(0.5 * float(np.min(smooth / shape)), _ZERO_POWER)
             for name, shape in zip(names, shapes, strict=True)
         ]
     )
@@ -137,7 +139,7 @@ def _smoothed(bands: Bands) -> Array:
     mean = np.bincount(group, bands.count[order] * bands.power[order]) / weight
     smooth = np.empty(len(order))
     smooth[order] = mean[group]
-    return np.maximum(smooth, _NOTHING)
+    return np.maximum(smooth, _ZERO_POWER)
 
 
 def _likelihood(bands: Bands, shapes: Array, rest: Array, squares: Array) -> _Point:
@@ -159,7 +161,7 @@ def _step(point: _Point, squares: Array) -> Array:
     """Return Fisher's step in the logarithms of the squared coefficients, eq. (7)."""
     gradient = point.gradient * squares
     information = point.information * np.outer(squares, squares)
-    diagonal = np.maximum(np.diag(information), _NOTHING)
+    diagonal = np.maximum(np.diag(information), _ZERO_POWER)
     scale = 1.0 / np.sqrt(diagonal)
     # A little damping: terms that look alike in this record would otherwise leave for opposite infinities.
     normal = information * np.outer(scale, scale) + 1e-6 * np.eye(len(squares))
@@ -168,8 +170,8 @@ def _step(point: _Point, squares: Array) -> Array:
     while free.any():
         pull = scale * gradient - normal @ (step / scale)
         solved = scale[free] * np.linalg.solve(normal[np.ix_(free, free)], pull[free])
-        step[free] = np.clip(solved, -_LONGEST_STEP, _LONGEST_STEP)
-        too_long = np.flatnonzero(free)[np.abs(solved) > _LONGEST_STEP]
+        step[free] = np.clip(solved, -_MAX_STEP, _MAX_STEP)
+        too_long = np.flatnonzero(free)[np.abs(solved) > _MAX_STEP]
         if not len(too_long):
             break
         # What is stopped short no longer pulls the others along: they are solved for anew.

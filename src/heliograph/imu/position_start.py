@@ -17,7 +17,7 @@ __all__ = ["PositionStart", "start_from_positions"]
 
 Array = NDArray[np.float64]
 
-_FEWEST = 4  # positions: two give the straight line, and the rest must show more than one direction
+_MIN_POSITIONS = 4  # positions: two give the straight line, and the rest must show more than one direction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +29,7 @@ class PositionStart:
     X_world_imu : ExtendedPose
         At the first position.
     rotation_covariance : (3, 3) float64
-        Of its rotation about the body's axes [rad^2]: large about an axis that the motion did not show.
+        Covariance of its rotation about the body's axes [rad^2]: large about an axis that the motion did not show.
     rms_m : float
         How well the positions are met [m].
     """
@@ -62,13 +62,13 @@ def start_from_positions(
     imu : ImuBatch
         Covering the positions.
     stamps_ns : (N,) int64
-        Of the positions, ascending [ns].
+        Stamps of the positions, ascending [ns].
     p_world : (N, 3) float64
         In a world whose gravity is known [m].
     sigma : float
         Standard deviation of a position, an axis [m].
     noise : ImuNoise
-        Of the IMU.
+        Noise of the IMU.
     config : ImuConfig, optional
         Gaps.
     g_world : (3,) float64, optional
@@ -81,9 +81,9 @@ def start_from_positions(
     """
     config = config or ImuConfig()
     stamps, positions = np.asarray(stamps_ns), np.asarray(p_world, dtype=np.float64)
-    if stamps.ndim != 1 or positions.shape != (len(stamps), 3) or len(stamps) < _FEWEST:
+    if stamps.ndim != 1 or positions.shape != (len(stamps), 3) or len(stamps) < _MIN_POSITIONS:
         raise DataError(
-            f"a start in motion needs at least {_FEWEST} positions (N, 3) with a stamp each, "
+            f"a start in motion needs at least {_MIN_POSITIONS} positions (N, 3) with a stamp each, "
             f"got {stamps.shape} stamps and positions {positions.shape}"
         )
     g = np.array([0.0, 0.0, -config.gravity]) if g_world is None else np.asarray(g_world, dtype=np.float64)

@@ -54,11 +54,11 @@ class Preintegration:
         What gravity adds to velocity and position, over g: the duration and half its square but where the body is taken
         to coast, far from any sample [s], [s^2].
     covariance : (N, 9, 9) float64
-        Of a right perturbation of `delta`, in the order of `ExtendedPose`: rotation, position, velocity, all in the imu
-        frame at the end. By white noise, the biases known.
+        Covariance of a right perturbation of `delta`, in the order of `ExtendedPose`: rotation, position, velocity, all
+        in the imu frame at the end. By white noise, the biases known.
     combined : (N, 15, 15) float64
-        Of that perturbation and the change of both biases from start to end (gyro, accelerometer): the biases are known
-        at the start and walk from there, which also disturbs the motion.
+        Covariance of that perturbation and the change of both biases from start to end (gyro, accelerometer): the
+        biases are known at the start and walk from there, which also disturbs the motion.
     bias_jacobian : (N, 9, 6) float64
         Derivative of that perturbation by gyro bias and accelerometer bias, exact for the discrete scheme.
     gyro_bias, accel_bias : (N, 3) float64

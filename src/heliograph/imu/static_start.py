@@ -13,9 +13,9 @@ from heliograph.errors import DataError
 
 __all__ = ["StaticStart", "assess_stillness"]
 
-_FEWEST_BLOCKS = 4
+_MIN_BLOCKS = 4
 _BLOCK_SHARE = 1.0 / 3.0  # of the spread at rest that means over blocks may show: they are quieter than samples
-_NEAR_BORDER = 0.8
+_BORDER_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ class StaticStart:
     gyro_sigma, accel_sigma : (3,) float64
         Standard deviation of one sample [rad/s], [m/s^2].
     covariance : (6, 6) float64
-        Of the means of gyroscope and accelerometer by their own noise; a constant bias does not show in it.
+        Covariance of the means of gyroscope and accelerometer by their own noise; a constant bias does not show in it.
     period : float
         Median distance between samples [s].
     duration : float
@@ -155,7 +155,7 @@ def _vibrates(sigma: NDArray[np.float64], blocks: NDArray[np.float64], config: I
     """Whether the spread is beyond that of rest, within that of a vibration, and gone in the blocks' means."""
     rest = np.repeat([config.still_gyro_sigma, config.still_accel_sigma], 3)
     worst = np.repeat([config.vibration_gyro, config.vibration_accel], 3)
-    if len(blocks) < _FEWEST_BLOCKS or bool((sigma <= rest).all()) or bool((sigma > worst).any()):
+    if len(blocks) < _MIN_BLOCKS or bool((sigma <= rest).all()) or bool((sigma > worst).any()):
         return False
     return bool((blocks.std(axis=0) <= _BLOCK_SHARE * rest).all())
 
@@ -172,7 +172,7 @@ def _graded(
     doubts = [
         *doubts,
         *(["short"] if duration < 0.9 * config.start_window else []),
-        *(["near the border of rest"] if statistic > _NEAR_BORDER else []),
+        *(["near the border of rest"] if statistic > _BORDER_SHARE else []),
     ]
     return ("fair", f"{', '.join(doubts)}; {numbers}") if doubts else ("good", numbers)
 

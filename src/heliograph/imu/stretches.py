@@ -17,15 +17,15 @@ __all__ = ["Grid", "ImuStretch", "even_stretches", "still_stretches"]
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-_FILL = 5  # samples missing in a row that are interpolated; more of them split the record
-_EVEN = 0.05  # steps within this share of the usual one are even
+_MAX_MISSING = 5  # samples missing in a row that are interpolated; more of them split the record
+_STEP_TOLERANCE = 0.05  # steps within this share of the usual one are even
 _PERIOD_SPAN = 1000  # steps over which one estimate of the period is taken, so that jitter hardly enters it
-_WINDOW, _LEAST_SAMPLES = 0.5, 8  # length of one look at the signal [s], and samples in it
-_AVERAGED = 0.02  # what the limits of stillness are held against is averaged over so long [s]
-_LEAST_REST = 5.0  # shortest stretch of rest that is used [s]
-_QUIET_SHARE, _LOUDER = 0.2, 3.0  # this share of the windows is taken for quiet, the rest may be so much louder
-_JUMP = 8.0  # a mean may change by so many of its usual changes from one window to the next
-_SWAY = 20.0  # how much more than white noise the means of quiet windows may scatter, as a ratio of variances
+_WINDOW, _MIN_SAMPLES = 0.5, 8  # length of one look at the signal [s], and samples in it
+_AVERAGING = 0.02  # what the limits of stillness are held against is averaged over this long [s]
+_MIN_REST = 5.0  # shortest stretch of rest that is used [s]
+_QUIET_SHARE, _LOUDNESS_RATIO = 0.2, 3.0  # share of windows taken for quiet, and how much louder others may be
+_JUMP_RATIO = 8.0  # largest change of a mean from one window to the next, by its usual one
+_SWAY_RATIO = 20.0  # how much more than white noise the means of quiet windows may scatter, as a ratio of variances
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +93,7 @@ def even_stretches(imu: ImuBatch) -> Grid:
     """
     n = len(imu)
     if n < 2:
-        raise DataError(f"{n} IMU samples; noise cannot be told from fewer than two - check --imu-topic")
+        raise DataError(f"{n} IMU samples; noise does not show in fewer than two - check --imu-topic")
     steps = np.diff(imu.stamps_ns)
     if (steps <= 0).any():
         bad = int((steps <= 0).sum())
@@ -103,20 +103,20 @@ def even_stretches(imu: ImuBatch) -> Grid:
     slots = np.arange(n) + np.maximum.accumulate(ideal - np.arange(n))
     samples = np.hstack([imu.gyro, imu.accel])
     missing = np.diff(slots) - 1
-    cuts = np.flatnonzero(missing > _FILL) + 1
+    cuts = np.flatnonzero(missing > _MAX_MISSING) + 1
     bounds = np.concatenate([[0], cuts, [n]])
     stretches = tuple(
         ImuStretch(begin_ns=int(imu.stamps_ns[first]), samples=_filled(slots[first:last], samples[first:last]))
         for first, last in pairwise(bounds.tolist())
     )
-    filled = int(missing[missing <= _FILL].sum())
+    filled = int(missing[missing <= _MAX_MISSING].sum())
     return Grid(period=1e-9 * period_ns, stretches=stretches, filled=filled, gaps=len(cuts))
 
 
 def _period_ns(stamps_ns: NDArray[np.int64], steps: NDArray[np.int64]) -> float:
     """Return the IMU's own period: the usual step where stamps are even, else that of long spans."""
     usual = float(np.median(steps))
-    even = np.abs(steps - usual) <= _EVEN * usual
+    even = np.abs(steps - usual) <= _STEP_TOLERANCE * usual
     # Samples stamped as they arrive in packets have an even step as well, but it covers next to no time.
     if even.mean() >= 0.5 and 2 * int(steps[even].sum()) >= int(steps.sum()):
         return float(steps[even].mean())
@@ -151,7 +151,7 @@ def still_stretches(grid: Grid, config: ImuConfig) -> Grid:
     Grid
         Stretches of at least five seconds each; none where nothing is still.
     """
-    size = max(round(_WINDOW / grid.period), _LEAST_SAMPLES)
+    size = max(round(_WINDOW / grid.period), _MIN_SAMPLES)
     windows = [_windows(stretch.samples, size) for stretch in grid.stretches]
     means = np.concatenate([mean for mean, _ in windows]).reshape(-1, 6)
     sigmas = np.concatenate([sigma for _, sigma in windows]).reshape(-1, 6)
@@ -164,15 +164,15 @@ def still_stretches(grid: Grid, config: ImuConfig) -> Grid:
     counts = np.cumsum([0, *(len(mean) for mean, _ in windows)])
     finest = np.array([_finest_step(grid, channel) for channel in range(6)])
     quiet = np.quantile(sigmas[calm], _QUIET_SHARE, axis=0)
-    calm &= (sigmas <= _LOUDER * quiet + 2.0 * finest).all(axis=1)
+    calm &= (sigmas <= _LOUDNESS_RATIO * quiet + 2.0 * finest).all(axis=1)
     jumps = np.abs(np.diff(means, axis=0))
     pairs = calm[1:] & calm[:-1]
     pairs[counts[1:-1][(counts[1:-1] > 0) & (counts[1:-1] < len(calm))] - 1] = False
     usual = 1.4826 * np.median(jumps[pairs], axis=0) if pairs.any() else np.zeros(6)
-    if (usual**2 > _SWAY * (2.0 * quiet**2 / size) + finest**2).any():
+    if (usual**2 > _SWAY_RATIO * (2.0 * quiet**2 / size) + finest**2).any():
         return replace(grid, stretches=())
-    joined = pairs & (jumps <= _JUMP * usual + finest).all(axis=1)
-    least = int(np.ceil(_LEAST_REST / (size * grid.period)))
+    joined = pairs & (jumps <= _JUMP_RATIO * usual + finest).all(axis=1)
+    least = int(np.ceil(_MIN_REST / (size * grid.period)))
     kept: list[ImuStretch] = []
     for stretch, first, last in zip(grid.stretches, counts[:-1], counts[1:], strict=True):
         kept += _runs(stretch, calm[first:last], joined[first : max(last - 1, first)], size, least, grid.period)
@@ -192,7 +192,7 @@ def _slow_spread(samples: Array, size: int, period: float) -> Array:
     The limits of stillness are meant for motion. White noise of single samples grows with the rate: at 1 kHz that of a
     common IMU would pass for motion by itself.
     """
-    part = min(max(round(_AVERAGED / period), 1), size // _LEAST_SAMPLES)
+    part = min(max(round(_AVERAGING / period), 1), size // _MIN_SAMPLES)
     count, parts = len(samples) // size, size // part
     blocks = samples[: count * size].reshape(count, size, 6)[:, : parts * part]
     return np.asarray(blocks.reshape(count, parts, part, 6).mean(axis=2).std(axis=1))

@@ -16,13 +16,13 @@ __all__ = ["WhiteFloor", "noise_in_motion", "white_floor"]
 
 Array = NDArray[np.float64]
 
-_WINDOW, _LEAST_SAMPLES, _USUAL_SAMPLES = 1.0, 40, 128  # length of a spectrum [s], and samples in it
+_WINDOW, _MIN_SAMPLES, _USUAL_SAMPLES = 1.0, 40, 128  # length of a spectrum [s], and samples in it
 _TINY = 1e-100  # stands in for a level of zero
 _BANDS = 16  # from zero to half the rate, equally wide
-_CALM = 2.0  # a window counts as calm up to so many times the level of the quietest tenth
-_TOLERANCE = 0.1  # bands that differ by less in power are taken as equally high
-_FLAT = 5  # bands in a row that must be equally high to show a floor
-_SLOPE = 0.08  # by how much the logarithm of power may differ between the floor's lower and upper half
+_CALM_RATIO = 2.0  # a window counts as calm up to this multiple of the quietest tenth's level
+_BAND_TOLERANCE = 0.1  # bands that differ by less in power are taken as equally high
+_FLAT_BANDS = 5  # bands in a row that must be equally high to show a floor
+_MAX_SLOPE = 0.08  # by how much the logarithm of power may differ between the floor's lower and upper half
 # Blackman and Harris's four terms: sidelobes 92 dB down, so that motion does not leak into the bands above it (F. J.
 # Harris, "On the use of windows for harmonic analysis", Proc. IEEE 66, 1978).
 _TAPER = (0.35875, -0.48829, 0.14128, -0.01168)
@@ -124,7 +124,7 @@ def white_floor(grid: Grid) -> WhiteFloor:
     shares = []
     for first in (0, 3):
         level = top[:, first : first + 3].sum(axis=1)
-        calm = level <= _CALM * np.quantile(level, 0.1)
+        calm = level <= _CALM_RATIO * np.quantile(level, 0.1)
         shares.append(float(calm.mean()))
         for channel in range(first, first + 3):
             _read_floor(result, channel, power[:, :, channel], calm, freedom)
@@ -142,12 +142,12 @@ def white_floor(grid: Grid) -> WhiteFloor:
 
 def _window_size(grid: Grid) -> int:
     longest = max((len(stretch) for stretch in grid.stretches), default=0)
-    if longest < _LEAST_SAMPLES:
+    if longest < _MIN_SAMPLES:
         raise DataError(
-            f"{longest} IMU samples in a row; a spectrum needs at least {_LEAST_SAMPLES} - record a second or more"
+            f"{longest} IMU samples in a row; a spectrum needs at least {_MIN_SAMPLES} - record a second or more"
         )
     wanted = max(round(_WINDOW / grid.period), _USUAL_SAMPLES)
-    return 2 * (min(wanted, max(longest // 4, _LEAST_SAMPLES)) // 2)
+    return 2 * (min(wanted, max(longest // 4, _MIN_SAMPLES)) // 2)
 
 
 def _spectra(grid: Grid, size: int) -> tuple[Array, float]:
@@ -193,15 +193,15 @@ def _read_floor(result: WhiteFloor, channel: int, power: Array, calm: NDArray[np
     half = (edges[first] + edges[last]) // 2
     lower, upper = (quiet[:, part].mean() for part in (slice(edges[first], half), slice(half, edges[last])))
     slope = abs(float(np.log(max(lower, _TINY) / max(upper, _TINY))))
-    level_off = slope <= _SLOPE + 3.0 * np.sqrt(4.0 * expected)
-    result.flat[channel] = last - first >= _FLAT and level > 0.0 and level_off
+    level_off = slope <= _MAX_SLOPE + 3.0 * np.sqrt(4.0 * expected)
+    result.flat[channel] = last - first >= _FLAT_BANDS and level > 0.0 and level_off
     result.spectrum[:, channel] = np.sqrt(quiet.mean(axis=0))
 
 
 def _floor_range(levels: Array, freedom: Array) -> tuple[int, int]:
     """Return the first band of the floor and the one after its last, eq. (10)."""
     # No real spectrum is flat to the last digit, so a band is not known better than the tolerance.
-    nu = 1.0 / (1.0 / freedom + 0.5 * _TOLERANCE**2)
+    nu = 1.0 / (1.0 / freedom + 0.5 * _BAND_TOLERANCE**2)
     levels = np.maximum(levels, _TINY)
     best, chosen = np.inf, (_BANDS - 1, _BANDS)
     for first in range(_BANDS):

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from heliograph.config import ImuConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Scan
 
 __all__ = ["ImuBuffer", "Packet", "Sequencer"]
 
-PATIENCE_NS = 50_000_000
-"""Besides one IMU period, how far messages may run past a scan's end before it is processed without more samples."""
+_PATIENCE_NS = round(1e9 * ImuConfig().patience)
+_INTERVAL_NS = 100_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,25 +71,29 @@ class ImuBuffer:
 class Sequencer:
     """Orders messages into packets.
 
-    A scan is ready once an IMU sample at or after its end has come, or messages have run one IMU period and 50 ms past
-    it, or the stream has ended. Without an IMU it is ready at once; without a LiDAR packets are cut every
-    ``interval_ns``.
+    A scan is ready once an IMU sample at or after its end has come, or messages have run one IMU period and
+    ``patience_ns`` past it, or the stream has ended. Without an IMU it is ready at once; without a LiDAR packets are
+    cut every ``interval_ns``.
 
     Parameters
     ----------
     sensors : frozenset of str
         Which of ``"lidar"`` and ``"imu"`` are used; messages of others are ignored.
+    patience_ns : int
+        See `ImuConfig.patience` [ns].
     interval_ns : int
         Length of packets without a LiDAR [ns].
     """
 
-    def __init__(self, sensors: frozenset[str], interval_ns: int = 100_000_000) -> None:
+    def __init__(
+        self, sensors: frozenset[str], *, patience_ns: int = _PATIENCE_NS, interval_ns: int = _INTERVAL_NS
+    ) -> None:
         self.imu = ImuBuffer()
         self.events: list[Event] = []
         self.lead_ns = 0
         """How far past a scan's end the IMU's stamps must have come [ns]."""
         self._sensors = sensors
-        self._interval_ns = interval_ns
+        self._patience_ns, self._interval_ns = patience_ns, interval_ns
         self._waiting: list[Scan] = []
         self._last_end_ns: int | None = None
 
@@ -130,7 +135,9 @@ class Sequencer:
         if self.imu.last_ns is not None and self.imu.last_ns >= scan.end_ns + self.lead_ns:
             return True
         # The recorder's clock may differ from the sensor's: patience counts from whichever is later.
-        return now_ns > max(scan.end_ns, scan.received_ns) + max(self.lead_ns, 0) + self.imu.period_ns + PATIENCE_NS
+        return (
+            now_ns > max(scan.end_ns, scan.received_ns) + max(self.lead_ns, 0) + self.imu.period_ns + self._patience_ns
+        )
 
     def _cut_intervals(self) -> list[Packet]:
         packets: list[Packet] = []

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from heliograph.config import ImuConfig
 from heliograph.data import GnssFix, ImuBatch, Scan
-from heliograph.odometry.sequencer import PATIENCE_NS, ImuBuffer, Sequencer
+from heliograph.odometry.sequencer import ImuBuffer, Sequencer
 
 MS = 1_000_000
 BOTH, LIDAR, IMU = frozenset({"lidar", "imu"}), frozenset({"lidar"}), frozenset({"imu"})
@@ -59,10 +60,19 @@ def test_late_imu_is_waited_for_one_period_and_50_ms():
     sequencer.add(imu(0, 10, 20))
     sequencer.add(imu(30))  # the period is known now: 10 ms
     sequencer.add(scan(0))
-    patience = PATIENCE_NS // MS + 10
+    patience = round(1e3 * ImuConfig().patience) + 10
     assert patience == 60
     assert sequencer.add(fix(100 + patience)) == []
     assert ends(sequencer.add(fix(100 + patience + 1))) == [100]
+
+
+def test_patience_is_a_setting():
+    sequencer = Sequencer(BOTH, patience_ns=0)
+    sequencer.add(imu(0, 10, 20))
+    sequencer.add(imu(30))
+    sequencer.add(scan(0))
+    assert sequencer.add(fix(110)) == []
+    assert ends(sequencer.add(fix(111))) == [100]
 
 
 def test_patience_counts_from_the_reception_of_a_scan_that_comes_late():

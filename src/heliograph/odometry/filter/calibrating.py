@@ -104,7 +104,7 @@ class FixedCalibration:
         return state.T_odom_imu
 
     def is_bent(self, state: NavState, scans: int) -> bool:  # noqa: ARG002 - a mounting as given bends nothing
-        """Whether a map of so many ``scans`` should be begun anew, because the mounting is known better now."""
+        """Whether a map of ``scans`` scans should be begun anew, because the mounting is known better now."""
         return False
 
     def remounted(self, state: NavState) -> NavState:
@@ -178,7 +178,7 @@ class GatedCalibration(FreeMounting):
         )
 
     def is_bent(self, state: NavState, scans: int) -> bool:
-        """Whether the mounting has changed by enough for a map of so many scans to show it."""
+        """Whether the mounting has changed by enough for a map of ``scans`` scans to show it."""
         return is_bent(self.T_imu_lidar, state, scans)
 
     def remounted(self, state: NavState) -> NavState:
@@ -191,7 +191,7 @@ class GatedCalibration(FreeMounting):
         return state
 
     def account(self, state: NavState) -> OnlineCalibration:
-        """Return what a state says of mounting and clock, and which directions the motion has not told."""
+        """Return what a state says of mounting and clock, and which directions the motion has not excited."""
         return self._gate.account(state)
 
 

@@ -1,8 +1,9 @@
 """Mounting and clock as states that only excited motion may move.
 
-A state that the motion does not tell is moved all the same by what the model leaves out, and ends far away with a small
-sigma. Here a second covariance, that of the filter if it let everything move, says what the scans have told about each
-direction. Until that is enough the direction is considered: its uncertainty counts, its value stays (S. Schmidt, 1966).
+A state that the motion does not excite is moved all the same by what the model leaves out, and ends far away with a
+small sigma. Here a second covariance, that of the filter if it let everything move, says what the scans have shown of
+each direction. Until that is enough the direction is considered: its uncertainty counts, its value stays (S. Schmidt,
+1966).
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def with_calibration(state: NavState, config: FilterConfig) -> NavState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationGate:
-    """What the motion has told so far.
+    """What the motion has shown so far.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ class CalibrationGate:
         Notes
         -----
         Eq. (14) of docs/theory/filter.md. The drift has a direction of its own: mixed with the offset that it carries
-        away, a drift not told yet would hold back an offset that is.
+        away, a drift not observed yet would hold back an offset that is.
         """
         measured = np.flatnonzero(self.prior_sigma[:-1] > 0.0)
         scale = self.prior_sigma[measured]

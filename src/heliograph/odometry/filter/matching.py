@@ -21,8 +21,6 @@ from heliograph.registration import MatchSettings, NormalEquations, linearize
 
 __all__ = ["AdaptiveNoise", "ScanMatcher", "Thinning", "register"]
 
-# A prediction's rotation error moves points by its sine times their distance; this distance stands for the cloud [m].
-_TYPICAL_RANGE = 15.0
 _OPENING_SIGMAS = 2.0  # of the predicted position, that the first kernel's scale spans
 _VAGUE_RATIO = 3.0  # first by final kernel scale, beyond which a prediction is vague
 _NOISE_GAIN, _SHARE_GAIN = 0.1, 0.1  # weights of the latest scan in the running means of noise and matched share
@@ -121,7 +119,8 @@ def register(
     """
     terms = terms if terms is not None else CalibrationTerms()
     mounted = terms.mounted
-    kernel = _NarrowingKernel(_opening(prior, noise.sigma, config, terms), config.kernel * noise.sigma)
+    opening = _opening(prior, noise.sigma, config, terms)
+    kernel = _NarrowingKernel(opening, config.kernel * noise.sigma, config.typical_range)
 
     def measure(state: NavState, iteration: int) -> ScanMeasurement:
         scale = kernel.at(state, iteration)
@@ -216,7 +215,7 @@ def _opening(prior: NavState, sigma: float, config: FilterConfig, terms: Calibra
     covariance = terms.map_pose_covariance(prior)
     position = float(np.linalg.eigvalsh(covariance[POSITION, POSITION])[-1])
     rotation = float(np.linalg.eigvalsh(covariance[ROTATION, ROTATION])[-1])
-    unknown = np.sqrt(max(position, 0.0) + _TYPICAL_RANGE**2 * max(rotation, 0.0))
+    unknown = np.sqrt(max(position, 0.0) + config.typical_range**2 * max(rotation, 0.0))
     return float(np.clip(_OPENING_SIGMAS * unknown, config.kernel * sigma, config.max_kernel))
 
 
@@ -228,8 +227,8 @@ def _is_vague(prior: NavState, noise: AdaptiveNoise, config: FilterConfig, terms
 class _NarrowingKernel:
     """A kernel's scale that halves when the pose has settled at it, or after `_SCALE_ITERATIONS` iterations."""
 
-    def __init__(self, start: float, final: float) -> None:
-        self.scale, self.final = start, final
+    def __init__(self, start: float, final: float, typical_range: float) -> None:
+        self.scale, self.final, self._range = start, final, typical_range
         self._last: NavState | None = None
         self._stay = 0
 
@@ -244,7 +243,7 @@ class _NarrowingKernel:
             shift = float(np.linalg.norm(state.p_odom - self._last.p_odom))
             turn = float(np.linalg.norm(state.R_odom_imu - self._last.R_odom_imu)) / np.sqrt(2.0)
             self._stay += 1
-            if shift + _TYPICAL_RANGE * turn < 0.5 * self.scale or self._stay >= _SCALE_ITERATIONS:
+            if shift + self._range * turn < 0.5 * self.scale or self._stay >= _SCALE_ITERATIONS:
                 self.scale, self._stay = max(self.final, 0.5 * self.scale), 0
         self._last = state
         return self.scale

@@ -56,7 +56,7 @@ class FilterOdometry:
         self._config, self._threads, self._local_map = config, threads, local_map
         self._rig = uncertain_rig(rig, config.filter)
         self._sensors = sensors & {"lidar", "imu"}
-        self._sequencer = Sequencer(self._sensors)
+        self._sequencer = Sequencer(self._sensors, patience_ns=round(1e9 * config.imu.patience))
         self._waiting: list[Packet] = []
         self._first: FirstLook | None = None
         self._around_ns = int(1e9 * HALF_WINDOW) if config.filter.estimate_time_offset else 0

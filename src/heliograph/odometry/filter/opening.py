@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.config import RunConfig
+from heliograph.config import FilterConfig, RunConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState, Rig, Scan, ScanResult, Trajectory
 from heliograph.data.error_layout import (
     GYRO_BIAS,
@@ -36,7 +36,6 @@ Array = NDArray[np.float64]
 
 NO_IMU = ImuBatch(stamps_ns=np.zeros(0, np.int64), gyro=np.zeros((0, 3)), accel=np.zeros((0, 3)), received_ns=0)
 
-UNKNOWN_SPEED, UNKNOWN_RATE = 5.0, 1.0  # sigmas of a motion nobody knows [m/s], [rad/s]
 # White noise with which the IMU leads the LiDAR: over a scan of 0.1 s a turn of 0.5 deg and 5 cm, well above what a
 # match tells, so that the poses stay the LiDAR's.
 _LOOSE_GYRO, _LOOSE_ACCEL = 0.03, 3.0
@@ -45,8 +44,8 @@ _MIN_POSES = 5
 # Passes, each de-skewed with what the one before it found, until the velocity stays [m/s].
 _MAX_PASSES = 5
 _SETTLED_SPEED = 0.02
-# Speeds [m/s] and scans to try them with, where the LiDAR is blind along its way and matches less than this share.
-_TRIED_SPEEDS, _TRIED_SCANS, _BLIND_SHARE = (12.0, 24.0, 36.0, -12.0, -24.0, -36.0), 5, 0.5
+# Scans to try other speeds with, where the LiDAR is blind along its way and matches less than this share of its points.
+_TRIED_SCANS, _BLIND_SHARE = 5, 0.5
 _FAST_SPEED = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
 _SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
 
@@ -98,15 +97,13 @@ def set_block(state: NavState, block: slice, sigma: float) -> None:
     state.covariance[block, block] = sigma**2 * np.eye(3)
 
 
-def constant_velocity_state(
-    stamp_ns: int, v: Array, rate: Array, v_sigma: float, rate_sigma: float, rig: Rig
-) -> NavState:
-    """Return the first state of the constant-velocity model."""
+def constant_velocity_state(stamp_ns: int, v: Array, rate: Array, rig: Rig, config: FilterConfig) -> NavState:
+    """Return the first state of the constant-velocity model, with the sigmas of a motion that nothing tells."""
     # See MotionModel: the imaginary gyroscope's bias is minus the body rate. The mounting is unobservable without an
     # IMU.
     state = blank_state(stamp_ns, replace(rig, known=True))
-    set_block(state, VELOCITY, v_sigma)
-    set_block(state, GYRO_BIAS, rate_sigma)
+    set_block(state, VELOCITY, config.unknown_speed)
+    set_block(state, GYRO_BIAS, config.unknown_rate)
     return replace(state, v_odom=v, gyro_bias=-rate)
 
 
@@ -122,14 +119,15 @@ def lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: 
         return None
 
     def run(v: Array, rate: Array, count: int) -> list[ScanResult]:
-        state = constant_velocity_state(scans[0].stamp_ns, v, rate, UNKNOWN_SPEED, UNKNOWN_RATE, rig)
+        state = constant_velocity_state(scans[0].stamp_ns, v, rate, rig, config.filter)
         core = FilterCore(state, MotionModel(config.imu, config.filter, None), config, threads=threads)
         return [core.process(scan, NO_IMU) for scan in scans[:count]]
 
     zero = np.zeros(3)
     results = run(zero, zero, len(scans))
     if (along := _blind_direction(results, config)) is not None:
-        tried = [run(speed * along, zero, _TRIED_SCANS) for speed in (0.0, *_TRIED_SPEEDS)]
+        speeds = (0.0, *config.filter.tried_speeds, *(-speed for speed in config.filter.tried_speeds))
+        tried = [run(speed * along, zero, _TRIED_SCANS) for speed in speeds]
         best = max(tried, key=_share)
         if best is not tried[0]:
             results = run(best[-1].v_odom, zero, len(scans))
@@ -225,10 +223,10 @@ def find_motion(
     def follow(state: NavState, lead: ImuBatch) -> _Followed:
         return _follow(scans, state, lead, config, threads)
 
-    def align(seen: _Followed, scale_sigma: float = 0.0) -> MotionStart:
+    def align(followed: _Followed, scale_sigma: float = 0.0) -> MotionStart:
         return align_motion(
-            seen.poses,
-            seen.covariance,
+            followed.poses,
+            followed.covariance,
             imu,
             noise=noise,
             config=config.imu,
@@ -236,16 +234,18 @@ def find_motion(
             scale_sigma=scale_sigma,
         )
 
-    seen = max((follow(*led) for led in _led_by_gyro(scans[0], imu, rig, moved)), key=lambda seen: seen.share)
+    followed = max(
+        (follow(*led) for led in _led_by_gyro(scans[0], imu, rig, moved, config.filter)), key=lambda one: one.share
+    )
     found: MotionStart | None = None
     for _ in range(_MAX_PASSES):
-        if len(seen.poses) < _MIN_POSES:
+        if len(followed.poses) < _MIN_POSES:
             return None
-        before, found = found, align(seen)
+        before, found = found, align(followed)
         if found.verdict == "failed" or (before is not None and _same_velocity(before, found)):
             break
-        seen = follow(*_led_by_imu(scans[0], found, imu, rig))
-    return (found, align(seen, _SCALE_SIGMA)) if found is not None and len(seen.poses) >= _MIN_POSES else None
+        followed = follow(*_led_by_imu(scans[0], found, imu, rig))
+    return (found, align(followed, _SCALE_SIGMA)) if found is not None and len(followed.poses) >= _MIN_POSES else None
 
 
 def _same_velocity(before: MotionStart, after: MotionStart) -> bool:
@@ -254,11 +254,11 @@ def _same_velocity(before: MotionStart, after: MotionStart) -> bool:
 
 
 def _led_by_gyro(
-    first: Scan, imu: ImuBatch, rig: Rig, moved: OpeningMotion | None
+    first: Scan, imu: ImuBatch, rig: Rig, moved: OpeningMotion | None, config: FilterConfig
 ) -> Iterator[tuple[NavState, ImuBatch]]:
     """Yield states and samples for the real gyroscope beside an accelerometer that reads zero without gravity."""
     state, lead = blank_state(first.stamp_ns, replace(rig, known=True)), replace(imu, accel=np.zeros_like(imu.accel))
-    set_block(state, VELOCITY, UNKNOWN_SPEED)
+    set_block(state, VELOCITY, config.unknown_speed)
     yield state, lead
     if moved is not None and moved.speed > _FAST_SPEED:
         yield replace(state, v_odom=moved.v_imu), lead

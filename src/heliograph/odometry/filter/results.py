@@ -72,18 +72,18 @@ def scan_result(
         return replace(common, status=_status_without_match(outcome, index, pose_covariance, config))
     equations = fit.measurement.sums
     mean_square = float(np.mean(np.einsum("ij,ij->i", points_imu, points_imu))) if len(points_imu) else 1.0
-    seen = observability(equations, mean_square)
+    found = observability(equations, mean_square)
     return replace(
         common,
-        status="degenerate" if _blind(seen, config) else "tracked",
+        status="degenerate" if _blind(found, config) else "tracked",
         matches=equations.matches,
         fallback_matches=equations.fallback_matches,
         iterations=fit.iterations,
         rms=equations.rms,
         nis=fit.nis,
-        eigenvalues_rotation=seen.rotation,
-        eigenvalues_translation=seen.translation,
-        weak_direction=seen.weak_direction,
+        eigenvalues_rotation=found.rotation,
+        eigenvalues_translation=found.translation,
+        weak_direction=found.weak_direction,
     )
 
 
@@ -133,8 +133,8 @@ def _status_without_match(
     return "empty" if len(outcome.points_imu) == 0 else "predicted"
 
 
-def _blind(seen: Observability, config: FilterConfig) -> bool:
-    return bool(seen.translation[0] < config.degenerate_translation or seen.rotation[0] < config.degenerate_rotation)
+def _blind(found: Observability, config: FilterConfig) -> bool:
+    return bool(found.translation[0] < config.degenerate_translation or found.rotation[0] < config.degenerate_rotation)
 
 
 def _held_events(path: ImuPath, scan: Scan) -> tuple[Event, ...]:

@@ -27,8 +27,6 @@ from heliograph.lie import s2, so3
 from heliograph.odometry.filter.motion import MotionModel
 from heliograph.odometry.filter.opening import (
     NO_IMU,
-    UNKNOWN_RATE,
-    UNKNOWN_SPEED,
     OpeningMotion,
     blank_state,
     constant_velocity_state,
@@ -194,22 +192,22 @@ def _static_account(rest: StaticStart, state: NavState) -> StartAccount:
 
 
 def _moving_account(found: MotionStart, scaled: MotionStart) -> StartAccount:
-    seen = found.excitation
+    excitation = found.excitation
     observed = "accelerometer scale" not in scaled.unobservable
     return StartAccount(
         kind="moving",
         verdict=found.verdict,
         reason=found.reason,
-        duration=seen.duration,
+        duration=excitation.duration,
         gravity_sigma=found.gravity_sigma,
         velocity_sigma=found.velocity_sigma,
         gyro_bias_sigma=found.gyro_bias_sigma,
         accel_bias_sigma=found.accel_bias_sigma,
         accel_scale=scaled.accel_scale if observed else 1.0,
         accel_scale_sigma=scaled.accel_scale_sigma,
-        turned=seen.turned,
-        rate_rms=seen.rate_rms,
-        force_rms=seen.force_rms,
+        turned=excitation.turned,
+        rate_rms=excitation.rate_rms,
+        force_rms=excitation.force_rms,
         misfit=found.misfit,
         unobservable=found.unobservable,
     )
@@ -218,8 +216,8 @@ def _moving_account(found: MotionStart, scaled: MotionStart) -> StartAccount:
 def _moving_event(begin_ns: int, first: FirstLook, account: StartAccount) -> Event:
     speed = first.moved.speed if first.moved else 0.0
     turn = float(np.linalg.norm(first.moved.mean_rate)) if first.moved else 0.0
-    seen = f"the LiDAR moves at {speed:.2f} m/s and turns at {turn:.2g} rad/s although the IMU is calm"
-    why = (first.rest.reason if first.rest else "") or seen
+    moves = f"the LiDAR moves at {speed:.2f} m/s and turns at {turn:.2g} rad/s although the IMU is calm"
+    why = (first.rest.reason if first.rest else "") or moves
     text = (
         f"the recording starts in motion ({why}); gravity, velocity and biases come from its first "
         f"{account.duration:.1f} s, verdict {account.verdict}: {account.reason}"
@@ -246,7 +244,7 @@ def _scale_event(begin_ns: int, account: StartAccount) -> tuple[Event, ...]:
 def _without_imu(begin_ns: int, end_ns: int, moved: OpeningMotion | None, rig: Rig, config: RunConfig) -> FilterStart:
     zero = np.zeros(3)
     v, rate = (moved.v_imu, moved.rate_imu) if moved is not None else (zero, zero)
-    state = constant_velocity_state(begin_ns, v, rate, UNKNOWN_SPEED, UNKNOWN_RATE, rig)
+    state = constant_velocity_state(begin_ns, v, rate, rig, config.filter)
     text = (
         "no IMU: a constant-velocity model de-skews and predicts; quick motion will smear the map, and up is the "
         "sensor's up at the start - record an IMU, or check --imu-topic"
@@ -269,10 +267,10 @@ def _with_gravity(state: NavState, up_odom: Array, up_sigma: float, config: RunC
     prior = np.diag([config.imu.accel_bias_sigma**2] * 3 + [1.0, 1.0])
     H = np.hstack([state.R_odom_imu, -g * s2.basis(direction)])
     gain = prior @ H.T @ np.linalg.inv(H @ prior @ H.T + up_sigma**2 * np.eye(3))
-    delta = gain @ (up_odom + g * direction)
+    bias_and_tilt = gain @ (up_odom + g * direction)
     posterior = (np.eye(5) - gain @ H) @ prior
     state.covariance[_LEANING, _LEANING] = 0.5 * (posterior + posterior.T)
-    return replace(state, accel_bias=delta[:3], g_odom=g * s2.retract(direction, delta[3:]))
+    return replace(state, accel_bias=bias_and_tilt[:3], g_odom=g * s2.retract(direction, bias_and_tilt[3:]))
 
 
 def _static_state(begin_ns: int, rest: StaticStart, rig: Rig, config: RunConfig) -> NavState:
@@ -333,7 +331,7 @@ def _covariance_for_filter(found: MotionStart, config: RunConfig) -> Array:
 def _rough_state(
     begin_ns: int, imu: ImuBatch, rest: StaticStart, moved: OpeningMotion | None, rig: Rig, config: RunConfig
 ) -> NavState:
-    up, up_sigma, v, v_sigma = rest.accel_mean, _UNKNOWN_UP_SIGMA, np.zeros(3), UNKNOWN_SPEED
+    up, up_sigma, v, v_sigma = rest.accel_mean, _UNKNOWN_UP_SIGMA, np.zeros(3), config.filter.unknown_speed
     bias, bias_sigma = np.zeros(3), config.imu.gyro_bias_sigma
     if moved is not None:
         inside = (imu.stamps_ns >= moved.stamps_ns[0]) & (imu.stamps_ns <= moved.stamps_ns[-1])

@@ -98,7 +98,7 @@ def iterated_update(
     for iteration in range(max_iterations):
         measurement = linearize(state, iteration)
         A, b = embedded(measurement, dim)
-        # The prior seen from the iterate: its mean lies at -offset, its covariance is carried over by the reset
+        # The prior around the iterate: its mean lies at -offset, its covariance is carried over by the reset
         # Jacobian.
         offset = local(prior, state)
         J = reset_jacobian(prior, offset)
