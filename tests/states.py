@@ -67,6 +67,14 @@ def random_imu(rng, *, duration=0.3, rate=100.0, before=0.02, jitter=0.2, start_
     return ImuBatch(stamps_ns=stamps, gyro=gyro, accel=accel, received_ns=int(stamps[-1]))
 
 
+def resting(seconds, rate=20.0):
+    """Samples of an IMU at rest from a period before the start on."""
+    stamps = START_NS + (np.arange(-1.0, rate * seconds + 2.0) * 1e9 / rate).astype(np.int64)
+    still = np.zeros((len(stamps), 3))
+    force = still + np.array([0.0, 0.0, GRAVITY])
+    return ImuBatch(stamps_ns=stamps, gyro=still, accel=force, received_ns=0)
+
+
 def wall(rng, normal, distance, count, *, half=4.0, sigma=0.01):
     """Points of a square of a plane, with noise across it, (count, 3) float32."""
     n = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)

@@ -46,6 +46,12 @@ def test_follow_lidar_takes_scans_only_as_results_are_asked_for(walk):
     assert len(taken) < 15
 
 
+def test_follow_lidar_places_scans_of_less_than_the_first_second(walk):
+    _, scans = walk
+    results = list(follow_lidar(scans[:4], RunConfig(), matches=400))
+    assert [result.end_ns for result in results] == [scan.end_ns for scan in scans[:4]]
+
+
 def test_thrifty_changes_nothing_but_the_points_to_match():
     config = RunConfig()
     assert thrifty(config, 700) == replace(config, cloud=replace(config.cloud, target_points=700))

@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import FilterConfig
-from heliograph.data import NavState, OnlineCalibration
+from heliograph.data import NavState, OnlineCalibration, Rig
 from heliograph.data.error_layout import (
     CLOCK,
+    DRIFT,
+    FULL_DIM,
     LEVER_ARM,
     MOUNTING,
     MOUNTING_ROTATION,
@@ -32,7 +34,15 @@ from heliograph.odometry.filter.remounting import anchoring, is_bent, widened
 from heliograph.odometry.filter.update import Linearization
 from heliograph.registration import MapMounting
 
-__all__ = ["CalibrationTerms", "FixedCalibration", "FreeMounting", "GatedCalibration", "calibration_of"]
+__all__ = [
+    "CalibrationTerms",
+    "FixedCalibration",
+    "FreeMounting",
+    "GatedCalibration",
+    "calibration_of",
+    "uncertain_rig",
+    "with_calibration",
+]
 
 Array = NDArray[np.float64]
 
@@ -202,3 +212,27 @@ def calibration_of(start: NavState, config: FilterConfig) -> FixedCalibration:
     if len(start.covariance) > NAV_DIM and start.covariance[MOUNTING, MOUNTING].any():
         return FreeMounting(start.T_imu_lidar)
     return FixedCalibration(start.T_imu_lidar)
+
+
+def uncertain_rig(rig: Rig, config: FilterConfig) -> Rig:
+    """Return the mounting that the start uses: one to be estimated is no more than a good guess."""
+    if not (rig.known and config.estimate_mounting):
+        return rig
+    return replace(
+        rig,
+        known=False,
+        sigma_rotation=config.mounting_rotation_sigma,
+        sigma_translation=config.mounting_lever_sigma,
+    )
+
+
+def with_calibration(state: NavState, config: FilterConfig) -> NavState:
+    """Return a start with the errors of mounting and clock; one that is not estimated is known exactly."""
+    if not (config.estimate_mounting or config.estimate_time_offset):
+        return state
+    covariance, size = np.zeros((FULL_DIM, FULL_DIM)), len(state.covariance)
+    covariance[:size, :size] = state.covariance
+    if config.estimate_time_offset:
+        covariance[CLOCK, CLOCK] = config.time_offset_sigma**2
+        covariance[DRIFT, DRIFT] = (1e-6 * config.time_drift_sigma_ppm) ** 2
+    return replace(state, covariance=covariance)

@@ -14,40 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import FilterConfig
-from heliograph.data import NavState, OnlineCalibration, Rig
-from heliograph.data.error_layout import CALIBRATION, CLOCK, DRIFT, FULL_DIM, MOUNTING
+from heliograph.data import NavState, OnlineCalibration
+from heliograph.data.error_layout import CALIBRATION, CLOCK, DRIFT, MOUNTING
 from heliograph.imu import ErrorGrowth
 from heliograph.odometry.filter.update import Linearization, embedded
 
-__all__ = ["CalibrationGate", "uncertain_rig", "with_calibration"]
+__all__ = ["CalibrationGate"]
 
 Array = NDArray[np.float64]
 
 _MEASURED = slice(MOUNTING.start, CLOCK + 1)  # what scans measure; the drift only changes one of them with time
-
-
-def uncertain_rig(rig: Rig, config: FilterConfig) -> Rig:
-    """Return the mounting that the start uses: one to be estimated is no more than a good guess."""
-    if not (rig.known and config.estimate_mounting):
-        return rig
-    return replace(
-        rig,
-        known=False,
-        sigma_rotation=config.mounting_rotation_sigma,
-        sigma_translation=config.mounting_lever_sigma,
-    )
-
-
-def with_calibration(state: NavState, config: FilterConfig) -> NavState:
-    """Return a start with the errors of mounting and clock; one that is not estimated is known exactly."""
-    if not (config.estimate_mounting or config.estimate_time_offset):
-        return state
-    covariance, size = np.zeros((FULL_DIM, FULL_DIM)), len(state.covariance)
-    covariance[:size, :size] = state.covariance
-    if config.estimate_time_offset:
-        covariance[CLOCK, CLOCK] = config.time_offset_sigma**2
-        covariance[DRIFT, DRIFT] = (1e-6 * config.time_drift_sigma_ppm) ** 2
-    return replace(state, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

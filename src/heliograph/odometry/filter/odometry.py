@@ -11,7 +11,7 @@ from heliograph.data.error_layout import GRAVITY
 from heliograph.imu.clock_shift import HALF_WINDOW
 from heliograph.lie import so3
 from heliograph.maps import LocalMap
-from heliograph.odometry.filter.calibration_gate import uncertain_rig, with_calibration
+from heliograph.odometry.filter.calibrating import uncertain_rig, with_calibration
 from heliograph.odometry.filter.core import FilterCore
 from heliograph.odometry.filter.start import FirstLook, find_start, look
 from heliograph.odometry.sequencer import Packet, Sequencer

@@ -11,11 +11,17 @@ import pytest
 from heliograph.config import RunConfig
 from heliograph.data.error_layout import CALIBRATION, CLOCK, FULL_DIM, MOUNTED_DIM, MOUNTING, NAV_DIM
 from heliograph.lie import se3, so3
-from heliograph.odometry.filter.calibrating import FixedCalibration, FreeMounting, GatedCalibration, calibration_of
+from heliograph.odometry.filter.calibrating import (
+    FixedCalibration,
+    FreeMounting,
+    GatedCalibration,
+    calibration_of,
+    with_calibration,
+)
 from heliograph.odometry.filter.motion import MotionModel
 from neighbour_map import NeighbourMap
 from online_trials import CONFIG, online_trial
-from states import NOISE, START_NS, random_imu, random_pose, random_state
+from states import NOISE, START_NS, random_imu, random_pose, random_state, rest_state, resting
 
 FILTER = RunConfig().filter
 SMALL = replace(CONFIG, cloud=replace(CONFIG.cloud, target_points=1000))
@@ -72,6 +78,23 @@ def test_gate_grows_by_what_one_prediction_did_to_the_state(rng):
     alone = motion.predict(replace(state, covariance=other), imu, end_ns).state.covariance
     np.testing.assert_array_equal(ahead.growth.grown(other), alone)
     assert np.abs(alone[CLOCK, :NAV_DIM]).max() > 0.0
+
+
+def test_gate_forgets_an_offset_that_the_drift_carries_away():
+    config = replace(FILTER, estimate_time_offset=True)
+    state = with_calibration(rest_state(), config)
+    calibration, motion = calibration_of(state, config), MotionModel(RunConfig().imu, config, NOISE)
+    calibration.learn(OffsetMeasured())
+    assert calibration.account(state).gains.max() > 10.0
+    ahead = motion.predict(state, resting(1200.0), START_NS + 1_200_000_000_000)
+    calibration.grow(ahead.growth)
+    assert calibration.account(ahead.state).gains.max() < 1.5
+
+
+class OffsetMeasured:
+    """The clock's offset, to a millisecond."""
+
+    columns, information, gradient = np.array([CLOCK]), np.array([[1e6]]), np.zeros(1)
 
 
 def test_general_motion_finds_mounting_and_clock_in_a_short_run():

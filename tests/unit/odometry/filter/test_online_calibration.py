@@ -15,8 +15,8 @@ from heliograph.imu import propagate
 from heliograph.imu.clock_shift import clock_shift
 from heliograph.lie import so3
 from heliograph.odometry import FilterOdometry
-from heliograph.odometry.filter.calibrating import calibration_of
-from heliograph.odometry.filter.calibration_gate import CalibrationGate, with_calibration
+from heliograph.odometry.filter.calibrating import calibration_of, with_calibration
+from heliograph.odometry.filter.calibration_gate import CalibrationGate
 from heliograph.odometry.filter.error_state import local, retract
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.motion import MotionModel, rate_change, sweep_path
@@ -26,7 +26,7 @@ from heliograph.registration import NormalEquations
 from heliograph.sim import SCENARIOS, simulate
 from heliograph.testing import assert_jacobian
 from online_trials import online_trial, prior_sigma
-from states import GRAVITY, NOISE, START_NS, random_imu, random_rotation, random_state, rest_state
+from states import NOISE, START_NS, random_imu, random_rotation, random_state, rest_state, resting
 
 EXACT = replace(ImuConfig(), curvature=0.0, max_step=0.0005)
 QUIET = replace(NOISE, gyro=1e-6, accel=1e-5)
@@ -252,13 +252,6 @@ def test_gate_does_not_count_what_a_pose_could_explain_as_well(rng):
     for _ in range(20):
         gate = gate.updated(Linear(H, np.zeros(3)))
     np.testing.assert_allclose(gate.directions()[0], 1.0, atol=1e-3)
-
-
-def resting(seconds, rate=20.0):
-    stamps = START_NS + (np.arange(-1.0, rate * seconds + 2.0) * 1e9 / rate).astype(np.int64)
-    still = np.zeros((len(stamps), 3))
-    force = still + np.array([0.0, 0.0, GRAVITY])
-    return ImuBatch(stamps_ns=stamps, gyro=still, accel=force, received_ns=0)
 
 
 def test_a_long_rest_opens_nothing():
