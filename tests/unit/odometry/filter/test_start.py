@@ -303,7 +303,7 @@ def test_attaching_the_frame_to_the_first_pose_keeps_the_covariance_honest(monke
     """With all that the scans said told, squared errors average to their number; with a quarter they stay below."""
     means = {}
     for share in (1.0, 0.25):
-        monkeypatch.setattr("heliograph.odometry.filter.start._TOLD_SHARE", share)
+        monkeypatch.setattr("heliograph.odometry.filter.start._INFORMATION_SHARE", share)
         pairs = [anchored_errors(seed) for seed in range(40)]
         means[share] = np.mean([error @ np.linalg.solve(P, error) for error, P in pairs])
     low, high = chi2.ppf([0.0005, 0.9995], 11 * 40) / 40
@@ -313,7 +313,7 @@ def test_attaching_the_frame_to_the_first_pose_keeps_the_covariance_honest(monke
 
 def test_a_rotation_that_is_uncertain_goes_over_to_velocity_and_gravity(monkeypatch):
     """Eq. (12) against draws: errors of the alignment, seen from where its true first pose is the state's."""
-    monkeypatch.setattr("heliograph.odometry.filter.start._TOLD_SHARE", 1.0)
+    monkeypatch.setattr("heliograph.odometry.filter.start._INFORMATION_SHARE", 1.0)
     rng, trial = np.random.default_rng(5), Trial(1)
     root = np.diag(np.repeat([0.02, 0.01, 0.03, 1e-3, 0.02, 0.02], [3, 3, 3, 3, 3, 2])) @ rng.normal(size=(17, 17))
     prior = np.repeat([EXACT.imu.gyro_bias_sigma**-2, EXACT.imu.accel_bias_sigma**-2], 3)
