@@ -21,8 +21,7 @@ class CubeMap:
         self.clear()
 
     def clear(self) -> None:
-        self.keys = np.array([-1])  # a cube that no point falls into keeps the look-up free of cases
-        self.sums = np.ones((1, 13))  # count, sum 3, outer product 9
+        self.keys, self.sums = np.array([-1]), np.ones((1, 13))  # an unused cube; count, sum 3, outer product 9
 
     def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:
         p = points_body[np.isfinite(points_body).all(axis=1)] @ T_odom_body[:3, :3].T + T_odom_body[:3, 3]
@@ -33,21 +32,19 @@ class CubeMap:
         return 1.0 - float(np.isin(np.unique(self._key(p)), old).mean()) if len(p) else 0.0
 
     def prune(self, centre_odom: NDArray[np.float64]) -> None:
-        near = np.linalg.norm(self.sums[:, 1:4] / self.sums[:, :1] - centre_odom, axis=1) < 100.0
-        near[0] = True
+        near = np.r_[True, np.linalg.norm(self.sums[1:, 1:4] / self.sums[1:, :1] - centre_odom, axis=1) < 100.0]
         self.keys, self.sums = self.keys[near], self.sums[near]
 
     def planes_at(self, points_odom: NDArray[np.float64], *, gate: float) -> PlaneMatches:
         key = self._key(points_odom)
         cube = np.searchsorted(self.keys, key).clip(max=len(self))
         n, mean = self.sums[cube, :1], self.sums[cube, 1:4] / self.sums[cube, :1]
-        moments = (self.sums[cube, 4:] / n).reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None, :]
-        spread, axes = np.linalg.eigh(moments)
-        near = np.abs(((points_odom - mean) * axes[:, :, 0]).sum(axis=1)) < gate
+        spread, axes = np.linalg.eigh((self.sums[cube, 4:] / n).reshape(-1, 3, 3) - mean[:, :, None] * mean[:, None])
         flat = (n[:, 0] >= 8) & (spread[:, 0] < 0.05**2) & (spread[:, 1] > (0.1 * self.edge) ** 2)
+        near = np.abs(((points_odom - mean) * axes[:, :, 0]).sum(axis=1)) < gate
         source = (near & flat & (self.keys[cube] == key)).astype(np.uint8)
-        variance = np.float32(spread[:, 0].clip(min=1e-9) / n[:, 0])
-        return PlaneMatches(normal=np.float32(axes[:, :, 0]), point=mean, variance=variance, source=source)
+        normal, variance = np.float32(axes[:, :, 0]), np.float32(spread[:, 0].clip(min=1e-9) / n[:, 0])
+        return PlaneMatches(normal=normal, point=mean, variance=variance, source=source)
 
     def __len__(self) -> int:
         return len(self.keys) - 1
