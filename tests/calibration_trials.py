@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.calibration import calibrate
-from heliograph.calibration.beliefs import Beliefs, LidarPoses, Prior
+from heliograph.calibration.beliefs import Beliefs, LidarPoses, RigPrior
 from heliograph.calibration.gather import refined
 from heliograph.calibration.observability import difference, prior_sigmas
 from heliograph.calibration.rounds import change_from, settle
@@ -77,7 +77,7 @@ def pose_trial(scenario, seed, *, period_ns=100_000_000, config=CONFIG, **change
     poses = LidarPoses(stamps_ns=stamps, T_odom_lidar=noisy, covariance=np.tile(1e-6 * np.eye(6), (len(T), 1, 1)))
     gyro, accel = sensors.imu()
     imu = ImuBatch(stamps_ns=sensors.imu_clock_ns, gyro=gyro, accel=accel, received_ns=0)
-    prior = Prior(
+    prior = RigPrior(
         T_imu_lidar=wrong.T_imu_lidar,
         clock=ImuClock(reference_ns=int(stamps[len(stamps) // 2])),
         information=np.diag(prior_sigmas(config.calibration) ** -2.0),

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from heliograph.checks import ImuRecord, LidarMotion
+from heliograph.checks import CheckedMotion, ImuRecord
 from heliograph.data import Rig, Trajectory
 from heliograph.lie import se3, so3
 from heliograph.sim import Scenario, simulate
@@ -16,7 +16,7 @@ TURN_NOISE, WAY_NOISE = 1.5e-3, 5e-3  # of the LiDAR's poses, as its odometry al
 Sabotage = Callable[[ImuRecord], ImuRecord]
 
 
-def made_records(scenario: Scenario, seed: int, *, known: bool = True) -> tuple[ImuRecord, LidarMotion]:
+def made_records(scenario: Scenario, seed: int, *, known: bool = True) -> tuple[ImuRecord, CheckedMotion]:
     """Return the IMU as a recorder gets it and the motion as a LiDAR sees it, without casting a ray."""
     simulation = simulate(scenario, seed)
     stamps, (gyro, accel) = simulation.imu_stamps_ns, simulation.imu()
@@ -33,7 +33,7 @@ def made_records(scenario: Scenario, seed: int, *, known: bool = True) -> tuple[
     mean[:, :3, :3] = T[1, :, :3, :3] @ so3.exp(bend + TURN_NOISE * rng.standard_normal(bend.shape))
     mean[:, :3, 3] += WAY_NOISE * rng.standard_normal(bend.shape)
     T_odom_lidar = se3.compose(se3.inverse(mean[0]), mean)
-    motion = LidarMotion(
+    motion = CheckedMotion(
         trajectory=Trajectory(stamps_ns=middles, T_frame_body=T_odom_lidar, body="lidar"),
         tracked=np.ones(len(middles), dtype=bool),
         rig=Rig(T_imu_lidar=simulation.mounting.T_imu_lidar, source="tf_static", known=known),

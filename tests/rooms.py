@@ -50,7 +50,7 @@ ALLOWED: dict[str, set[str]] = {
     "output": COMMON | SENSING | {"io"},
     "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output"},
     "examination": COMMON | SLAM | {"io", "checks"},
-    "report": COMMON | SENSING | {"io", "output", "checks", "metrics"},
+    "report": COMMON | SENSING | {"imu", "io", "calibration", "output", "checks", "metrics"},
     "lab": COMMON | SLAM | {"sim", "metrics", "slam"},
     "cli": COMMON
     | SLAM

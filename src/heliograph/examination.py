@@ -9,7 +9,7 @@ from dataclasses import asdict
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.checks import CheckReport, LidarMotion, check_imu
+from heliograph.checks import CheckedMotion, CheckReport, check_imu
 from heliograph.config import RunConfig
 from heliograph.data import Scan, ScanResult, Trajectory
 from heliograph.errors import DataError
@@ -103,12 +103,12 @@ def lidar_motion(
     threads: int = 1,
     seconds: float = MAX_SECONDS,
     watch: Watcher = lambda _what, _done: None,
-) -> tuple[LidarMotion | None, str]:
+) -> tuple[CheckedMotion | None, str]:
     """Follow the LiDAR alone over the first part of a recording.
 
     Returns
     -------
-    motion : LidarMotion or None
+    motion : CheckedMotion or None
         None where it cannot be followed.
     why : str
         The reason for that; empty otherwise.
@@ -129,7 +129,7 @@ def lidar_motion(
     forward = np.concatenate([[True], np.diff(stamps_ns) > 0])
     trajectory = Trajectory(stamps_ns=stamps_ns[forward], T_frame_body=T_odom_lidar[forward], body="lidar")
     sweep = float(np.median([result.end_ns - result.stamp_ns for result in results])) * 1e-9
-    return LidarMotion(trajectory=trajectory, tracked=tracked[forward], rig=recording.rig, sweep=sweep), ""
+    return CheckedMotion(trajectory=trajectory, tracked=tracked[forward], rig=recording.rig, sweep=sweep), ""
 
 
 def _at_middle(results: Sequence[ScanResult]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -5,7 +5,7 @@ import numpy as np
 
 @np.errstate(divide="ignore", invalid="ignore")
 def cast_slowly(world, directions, T_world_sensor, min_range, max_range):
-    """Return range, brightness and primitive of each ray, as `heliograph.sim.world.World.cast` does."""
+    """Return range, brightness and primitive of each ray, as `heliograph.sim.world.SimulatedWorld.cast` does."""
     rows, columns, _ = directions.shape
     d_world = np.einsum("cij,rcj->rci", T_world_sensor[:, :3, :3], directions)
     o_world = np.broadcast_to(T_world_sensor[:, :3, 3], d_world.shape)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.calibration.beliefs import Beliefs, LidarPoses, Motion, Prior
+from heliograph.calibration.beliefs import Beliefs, CalibrationMotion, LidarPoses, RigPrior
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import CalibrationError
@@ -20,11 +20,11 @@ from heliograph.graph import (
     Information,
     Isotropic,
     Marginals,
+    Prior,
     Solution,
     Values,
     solve,
 )
-from heliograph.graph import Prior as GraphPrior
 from heliograph.imu import preintegrate
 from heliograph.lie import S2, SE3, ExtendedPose, se3, se23
 
@@ -47,9 +47,9 @@ class Estimate:
     Parameters
     ----------
     beliefs : Beliefs
-    motion : Motion
+    motion : CalibrationMotion
     covariance : (8, 8) float64
-        Prior included: mounting (right perturbation, lidar axes), offset [s], drift [s/s].
+        With the prior: mounting (right perturbation, lidar axes), offset [s], drift [s/s].
     change_by_calibration : (8, 6), (8, 2) float64
         Takes such perturbations to changes from the prior, with imu axes.
     tilt_covariance : (2, 2) float64
@@ -66,7 +66,7 @@ class Estimate:
     """
 
     beliefs: Beliefs
-    motion: Motion
+    motion: CalibrationMotion
     covariance: Array
     change_by_calibration: tuple[Array, Array]
     tilt_covariance: Array
@@ -84,8 +84,8 @@ def estimate(
     noise: ImuNoise,
     config: ImuConfig,
     start: Beliefs,
-    motion: Motion,
-    prior: Prior,
+    motion: CalibrationMotion,
+    prior: RigPrior,
     rounds: int = 2,
 ) -> Estimate:
     """Solve the graph of docs/theory/calibration.md, section 2, with the size of the LiDAR's noise found along.
@@ -101,9 +101,9 @@ def estimate(
     config : ImuConfig
     start : Beliefs
         The inertial samples are cut where its clock puts the poses; what the clock changes is a variable.
-    motion : Motion
+    motion : CalibrationMotion
         A guess at the same instants.
-    prior : Prior
+    prior : RigPrior
     rounds : int
         Solutions, each with the size of the LiDAR's noise that the one before shows.
 
@@ -158,11 +158,11 @@ def _with_calibration_held(graph: FactorGraph, values: Values, count: int) -> Ar
     return Marginals(held, values).covariance(np.arange(count))
 
 
-def guess_motion(poses: LidarPoses, beliefs: Beliefs, bias: Array) -> Motion:
+def guess_motion(poses: LidarPoses, beliefs: Beliefs, bias: Array) -> CalibrationMotion:
     """Return the IMU's states as the LiDAR's poses and the mounting have them, velocities by differences."""
     T = poses.T_odom_lidar @ se3.inverse(beliefs.T_imu_lidar)
     v = np.gradient(T[:, :3, 3], (poses.stamps_ns - poses.stamps_ns[0]) * 1e-9, axis=0)
-    return Motion(
+    return CalibrationMotion(
         stamps_ns=beliefs.clock.imu_time(poses.stamps_ns),
         X_odom_imu=se23.from_rotation_position_velocity(T[:, :3, :3], T[:, :3, 3], v),
         bias=np.tile(bias, (len(T), 1)),
@@ -188,7 +188,7 @@ def _mean_rates(imu: ImuBatch, at_ns: NDArray[np.int64]) -> Array:
     return np.asarray((sampled_at(imu, end, turned) - sampled_at(imu, begin, turned)) / ((end - begin)[:, None] * 1e-9))
 
 
-def _values(start: Beliefs, motion: Motion) -> Values:
+def _values(start: Beliefs, motion: CalibrationMotion) -> Values:
     values, keys = Values(), np.arange(len(motion))
     values.insert(keys, ExtendedPose(motion.X_odom_imu))
     values.insert(_BIASES + keys, motion.bias)
@@ -198,7 +198,9 @@ def _values(start: Beliefs, motion: Motion) -> Values:
     return values
 
 
-def _inertial(imu: ImuBatch, noise: ImuNoise, config: ImuConfig, start: Beliefs, motion: Motion) -> CombinedImu:
+def _inertial(
+    imu: ImuBatch, noise: ImuNoise, config: ImuConfig, start: Beliefs, motion: CalibrationMotion
+) -> CombinedImu:
     """Return the factors of the inertial samples between the states."""
     at, keys = motion.stamps_ns, np.arange(len(motion))
     # Interpolating between samples adds noise for an odometry that must not be surprised by a slow IMU; here it would
@@ -231,8 +233,8 @@ def _graph(
     inertial: CombinedImu,
     config: ImuConfig,
     start: Beliefs,
-    motion: Motion,
-    prior: Prior,
+    motion: CalibrationMotion,
+    prior: RigPrior,
 ) -> FactorGraph:
     graph, keys, count = FactorGraph(), np.arange(len(poses)), len(poses)
     graph.add(inertial)
@@ -246,27 +248,29 @@ def _graph(
     )
     # So vague that they tell nothing; with them it shows without an analysis that the graph determines every variable.
     vague = Isotropic(_VAGUE)
-    graph.add(GraphPrior(keys, ExtendedPose(motion.X_odom_imu), vague))
-    graph.add(GraphPrior(_BIASES + keys, motion.bias, vague))
-    graph.add(GraphPrior(_GRAVITY, S2(start.g_odom), vague))
-    graph.add(GraphPrior(_MOUNTING, SE3(start.T_imu_lidar), vague))
-    graph.add(GraphPrior(_CLOCK, np.zeros(2), vague))
+    graph.add(Prior(keys, ExtendedPose(motion.X_odom_imu), vague))
+    graph.add(Prior(_BIASES + keys, motion.bias, vague))
+    graph.add(Prior(_GRAVITY, S2(start.g_odom), vague))
+    graph.add(Prior(_MOUNTING, SE3(start.T_imu_lidar), vague))
+    graph.add(Prior(_CLOCK, np.zeros(2), vague))
     biases = Diagonal([config.gyro_bias_sigma] * 3 + [config.accel_bias_sigma] * 3)
-    graph.add(GraphPrior(_BIASES, np.zeros(6), biases))
+    graph.add(Prior(_BIASES, np.zeros(6), biases))
     change = [prior.clock.offset - start.clock.offset, prior.clock.drift - start.clock.drift]
     data = (SE3(prior.T_imu_lidar), np.array(change))
     graph.add(CalibrationPrior((_MOUNTING, _CLOCK), data=data, noise=Information(prior.information)))
     return graph
 
 
-def _pose_data(poses: LidarPoses, imu: ImuBatch, start: Beliefs, motion: Motion) -> tuple[Array, Array, Array]:
+def _pose_data(
+    poses: LidarPoses, imu: ImuBatch, start: Beliefs, motion: CalibrationMotion
+) -> tuple[Array, Array, Array]:
     """Return what the factor of the LiDAR's poses is made of: poses, body rates, seconds since the reference."""
     omega = _mean_rates(imu, motion.stamps_ns) - motion.bias[:, :3]
     span = np.asarray((poses.stamps_ns - start.clock.reference_ns) * 1e-9, dtype=np.float64)
     return poses.T_odom_lidar, omega, span
 
 
-def _residual(poses: LidarPoses, imu: ImuBatch, start: Beliefs, motion: Motion, values: Values) -> Array:
+def _residual(poses: LidarPoses, imu: ImuBatch, start: Beliefs, motion: CalibrationMotion, values: Values) -> Array:
     count = len(poses)
     E = np.tile(values.at(_MOUNTING).matrix, (count, 1, 1))
     clock = np.tile(values.at(_CLOCK), (count, 1))
@@ -296,7 +300,7 @@ def _size(poses: LidarPoses, residual: Array, X_covariance: Array, values: Value
     return np.asarray(np.sqrt(np.clip(square_size, *_SIZES)))
 
 
-def _change_by_calibration(values: Values, prior: Prior) -> tuple[Array, Array]:
+def _change_by_calibration(values: Values, prior: RigPrior) -> tuple[Array, Array]:
     E, clock = values.at(_MOUNTING).matrix[None], values.at(_CLOCK)[None]
     by_mounting, by_clock = CalibrationPrior.jacobians(E, clock, prior.T_imu_lidar[None], clock)
     return by_mounting[0], by_clock[0]
@@ -312,6 +316,6 @@ def _read(values: Values, start: Beliefs) -> Beliefs:
     )
 
 
-def _read_motion(values: Values, motion: Motion) -> Motion:
+def _read_motion(values: Values, motion: CalibrationMotion) -> CalibrationMotion:
     keys = np.arange(len(motion.stamps_ns))
     return replace(motion, X_odom_imu=values.at(keys).matrix, bias=values.at(_BIASES + keys))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.data import ImuClock
 
-__all__ = ["Beliefs", "LidarPoses", "Motion", "Prior"]
+__all__ = ["Beliefs", "CalibrationMotion", "LidarPoses", "RigPrior"]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -34,7 +34,7 @@ class Beliefs:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Prior:
+class RigPrior:
     """What was believed beforehand.
 
     Parameters
@@ -74,7 +74,7 @@ class LidarPoses:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class CalibrationMotion:
     """The IMU's states at some instants.
 
     Parameters

@@ -9,18 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.calibration.batch import Estimate, sampled_at
-from heliograph.calibration.beliefs import Beliefs, LidarPoses, Prior
+from heliograph.calibration.beliefs import Beliefs, LidarPoses, RigPrior
 from heliograph.calibration.coarse import align_turns
 from heliograph.calibration.gather import Evidence, Message, gather, refined
 from heliograph.calibration.observability import (
-    Axis,
+    CalibratedAxis,
     Observed,
     judge_axes,
     kept_in_words,
     prior_sigmas,
 )
 from heliograph.calibration.placing import Placer, lidar_path
-from heliograph.calibration.rounds import Rounds, change_from, settle
+from heliograph.calibration.rounds import CalibrationRounds, change_from, settle
 from heliograph.config import ImuConfig, RunConfig
 from heliograph.data import ImuBatch, ImuClock, ImuNoise, Rig
 from heliograph.errors import DataError
@@ -28,7 +28,7 @@ from heliograph.imu import assess_stillness
 from heliograph.imu.white_floor import noise_in_motion
 from heliograph.lie import se3, so3
 
-__all__ = ["Calibration", "Excitation", "calibrate"]
+__all__ = ["AxisExcitation", "Calibration", "calibrate"]
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ _REST_NS, _FEWEST_AT_REST = 1_000_000_000, 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Excitation:
+class AxisExcitation:
     """How much the motion used one axis of the IMU.
 
     Parameters
@@ -67,13 +67,13 @@ class Calibration:
         Mounting and clock to use: the prior along what was not excited.
     prior : Rig
         What it began from.
-    axes : tuple of Axis
+    axes : tuple of CalibratedAxis
         The eight numbers with sigma and verdict.
     observed : Observed
         The same by independent directions, imu axes.
     kept : tuple of str
         One line for each direction that kept its prior.
-    excitation : tuple of Excitation
+    excitation : tuple of AxisExcitation
     g_odom, tilt_sigma : (3,) float64, float
         Gravity in the frame of the first scan's LiDAR [m/s^2], and the larger one-sigma of its direction [rad].
     gyro_bias, accel_bias, bias_sigma : (3,), (3,), (6,) float64
@@ -92,10 +92,10 @@ class Calibration:
 
     rig: Rig
     prior: Rig
-    axes: tuple[Axis, ...]
+    axes: tuple[CalibratedAxis, ...]
     observed: Observed
     kept: tuple[str, ...]
-    excitation: tuple[Excitation, ...]
+    excitation: tuple[AxisExcitation, ...]
     g_odom: Array
     tilt_sigma: float
     gyro_bias: Array
@@ -173,17 +173,17 @@ class _Run:
     noise: ImuNoise
     threads: int
 
-    def prior(self, rig: Rig) -> Prior:
+    def prior(self, rig: Rig) -> RigPrior:
         ends = self.evidence.ends_ns
         middle_ns = int(ends[0] + (ends[-1] - ends[0]) // 2)  # where offset and drift are told independently
         sigmas = prior_sigmas(self.config.calibration)
-        return Prior(
+        return RigPrior(
             T_imu_lidar=rig.T_imu_lidar,
             clock=ImuClock(reference_ns=middle_ns),
             information=np.diag(sigmas**-2.0),
         )
 
-    def first(self, prior: Prior) -> tuple[Beliefs, LidarPoses, Array]:
+    def first(self, prior: RigPrior) -> tuple[Beliefs, LidarPoses, Array]:
         """Return beliefs, poses of the LiDAR and the gyroscope's bias to begin with."""
         calibration, evidence = self.config.calibration, self.evidence
         coarse = align_turns(
@@ -227,7 +227,7 @@ class _Run:
             covariance=poses.covariance[inside],
         )
 
-    def rounds(self, prior: Prior) -> Rounds:
+    def rounds(self, prior: RigPrior) -> CalibrationRounds:
         """Solve, de-skew and place in turn."""
         placer = Placer(self.evidence.scans, self.config, threads=self.threads)
 
@@ -240,7 +240,7 @@ class _Run:
             poses, place, self.evidence.imu, noise=self.noise, config=self.config, prior=prior, start=beliefs, bias=bias
         )
 
-    def conclude(self, rig: Rig, prior: Prior, rounds: Rounds) -> Calibration:
+    def conclude(self, rig: Rig, prior: RigPrior, rounds: CalibrationRounds) -> Calibration:
         """Put the prior back along what was not excited, and give an account."""
         found, config = rounds.estimate, self.config.calibration
         change = rounds.observed.told(change_from(prior, found.beliefs))
@@ -275,13 +275,13 @@ class _Run:
             residual_position=float(np.sqrt(np.mean(noise[3:] ** 2))),
         )
 
-    def _excitation(self, found: Estimate, axes: tuple[Axis, ...]) -> tuple[Excitation, ...]:
+    def _excitation(self, found: Estimate, axes: tuple[CalibratedAxis, ...]) -> tuple[AxisExcitation, ...]:
         imu, motion = self.evidence.imu, found.motion
         rate = sampled_at(imu, motion.stamps_ns, imu.gyro) - motion.bias[:, :3]
         force = sampled_at(imu, motion.stamps_ns, imu.accel) - motion.bias[:, 3:]
         acceleration = force + np.einsum("nji,j->ni", motion.X_odom_imu[:, :3, :3], found.beliefs.g_odom)
         return tuple(
-            Excitation(
+            AxisExcitation(
                 axis="xyz"[k],
                 rate=float(np.sqrt(np.mean(rate[:, k] ** 2))),
                 acceleration=float(np.sqrt(np.mean(acceleration[:, k] ** 2))),

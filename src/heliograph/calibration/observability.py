@@ -12,7 +12,7 @@ from heliograph.lie import so3
 
 __all__ = [
     "AXES",
-    "Axis",
+    "CalibratedAxis",
     "Observed",
     "analyse",
     "difference",
@@ -85,7 +85,7 @@ class Observed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Axis:
+class CalibratedAxis:
     """The verdict on one number.
 
     Parameters
@@ -140,7 +140,7 @@ def analyse(covariance: Array, prior: Array, gain: float) -> Observed:
     return Observed(directions=prior[:, None] * vectors, gains=gains, kept=gains < gain)
 
 
-def judge_axes(observed: Observed, values: Array, config: CalibrationConfig) -> tuple[Axis, ...]:
+def judge_axes(observed: Observed, values: Array, config: CalibrationConfig) -> tuple[CalibratedAxis, ...]:
     """Return the verdict on each of the eight numbers whose ``values`` (8,) are given."""
     prior, useful = prior_sigmas(config), useful_sigmas(config)
     variance, kept = np.diag(observed.covariance), np.diag(observed.kept_covariance)
@@ -155,7 +155,7 @@ def judge_axes(observed: Observed, values: Array, config: CalibrationConfig) -> 
             verdict = "partly" if kept[k] > _MOSTLY * variance[k] else "weak"
         kind = name.rsplit(" ", 1)[0] if k < 6 else name
         axes.append(
-            Axis(
+            CalibratedAxis(
                 name=name,
                 value=float(values[k]),
                 sigma=sigma,

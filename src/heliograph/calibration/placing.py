@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.calibration.beliefs import Beliefs, LidarPoses, Motion
+from heliograph.calibration.beliefs import Beliefs, CalibrationMotion, LidarPoses
 from heliograph.calibration.plane_map import PlaneMap, turn_against
 from heliograph.cloud import deskew, range_gate, voxel_downsample
 from heliograph.config import ImuConfig, RunConfig
@@ -56,7 +56,9 @@ class LidarPath:
         return np.insert(stamps, k, middle_ns), np.concatenate([T[:k], middle, T[k:]]), k
 
 
-def lidar_path(motion: Motion, beliefs: Beliefs, imu: ImuBatch, noise: ImuNoise, config: ImuConfig) -> LidarPath:
+def lidar_path(
+    motion: CalibrationMotion, beliefs: Beliefs, imu: ImuBatch, noise: ImuNoise, config: ImuConfig
+) -> LidarPath:
     """Fill in the motion between the states of a solution with the inertial samples."""
     stamps: list[Stamps] = []
     poses: list[Array] = []
@@ -75,7 +77,7 @@ def lidar_path(motion: Motion, beliefs: Beliefs, imu: ImuBatch, noise: ImuNoise,
     )
 
 
-def _state(motion: Motion, k: int, beliefs: Beliefs) -> NavState:
+def _state(motion: CalibrationMotion, k: int, beliefs: Beliefs) -> NavState:
     X, bias = motion.X_odom_imu[k], motion.bias[k]
     return NavState(
         stamp_ns=int(motion.stamps_ns[k]),

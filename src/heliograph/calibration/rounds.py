@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.calibration.batch import Estimate, estimate, guess_motion
-from heliograph.calibration.beliefs import Beliefs, LidarPoses, Prior
+from heliograph.calibration.beliefs import Beliefs, LidarPoses, RigPrior
 from heliograph.calibration.observability import Observed, analyse, difference, prior_sigmas
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, ImuNoise
 
-__all__ = ["Rounds", "change_from", "settle"]
+__all__ = ["CalibrationRounds", "change_from", "settle"]
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ _FEWEST, _SIZING = 3, 2  # rounds at least; rounds in which the size of the LiDA
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rounds:
+class CalibrationRounds:
     """How the rounds ended.
 
     Parameters
@@ -50,10 +50,10 @@ def settle(
     *,
     noise: ImuNoise,
     config: RunConfig,
-    prior: Prior,
+    prior: RigPrior,
     start: Beliefs,
     bias: Array,
-) -> Rounds:
+) -> CalibrationRounds:
     """Estimate in rounds.
 
     Parameters
@@ -65,7 +65,7 @@ def settle(
     imu : ImuBatch
     noise : ImuNoise
     config : RunConfig
-    prior : Prior
+    prior : RigPrior
     start : Beliefs
         To begin with.
     bias : (6,) float64
@@ -94,16 +94,16 @@ def settle(
         if number > 1:  # the first poses were the odometry's own, whose noise says nothing of the next ones'
             size = size * found.size
         poses = replace(poses, covariance=size[:, None] * poses.covariance * size)
-    return Rounds(estimate=found, observed=observed, passes=number, settled=settled)
+    return CalibrationRounds(estimate=found, observed=observed, passes=number, settled=settled)
 
 
-def change_from(prior: Prior, beliefs: Beliefs) -> Array:
+def change_from(prior: RigPrior, beliefs: Beliefs) -> Array:
     """Return what leads from the prior to the beliefs, (8,): rotation about and lever arm along imu axes, clock."""
     clock = [beliefs.clock.offset - prior.clock.offset, beliefs.clock.drift - prior.clock.drift]
     return np.concatenate([difference(prior.T_imu_lidar, beliefs.T_imu_lidar), clock])
 
 
-def _observed(found: Estimate, held: Prior, config: RunConfig) -> Observed:
+def _observed(found: Estimate, held: RigPrior, config: RunConfig) -> Observed:
     """Return what the data alone tell, with the directions as changes from the prior."""
     sigmas = prior_sigmas(config.calibration)
     G = np.concatenate(found.change_by_calibration, axis=1)
@@ -112,7 +112,7 @@ def _observed(found: Estimate, held: Prior, config: RunConfig) -> Observed:
     return analyse(posterior, sigmas, config.calibration.gain)
 
 
-def _holding(prior: Prior, observed: Observed) -> Array:
+def _holding(prior: RigPrior, observed: Observed) -> Array:
     """Return the prior's information (8, 8), with the directions that are kept held fast."""
     # The rows of the inverse measure each direction by itself: a motion along the others does not stretch them.
     rows = np.linalg.inv(observed.directions)[observed.kept]

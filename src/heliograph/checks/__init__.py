@@ -3,10 +3,10 @@
 from heliograph.checks.imu import IMU_CHECKS, check_imu
 from heliograph.checks.records import (
     VERDICTS,
+    CheckedMotion,
     CheckReport,
     Finding,
     ImuRecord,
-    LidarMotion,
     Number,
     worst,
 )
@@ -15,9 +15,9 @@ __all__ = [
     "IMU_CHECKS",
     "VERDICTS",
     "CheckReport",
+    "CheckedMotion",
     "Finding",
     "ImuRecord",
-    "LidarMotion",
     "Number",
     "check_imu",
     "worst",

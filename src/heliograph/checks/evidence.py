@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from heliograph.checks.clock import clock_steps
 from heliograph.checks.fit import bias_beside
 from heliograph.checks.offset import FARTHEST, Offset, find_offset
-from heliograph.checks.records import ImuRecord, LidarMotion
+from heliograph.checks.records import CheckedMotion, ImuRecord
 from heliograph.checks.windows import Forces, Turns, forces_over, turns_over, usable
 from heliograph.data import ImuBatch
 
@@ -34,7 +34,7 @@ class Evidence:
         As recorded.
     batch : ImuBatch
         Its usable samples as an estimator would get them: SI units, stamps that advance.
-    motion : LidarMotion or None
+    motion : CheckedMotion or None
         The LiDAR's view.
     why : str
         Why there is none, or why it cannot be compared.
@@ -49,7 +49,7 @@ class Evidence:
 
     imu: ImuRecord
     batch: ImuBatch
-    motion: LidarMotion | None
+    motion: CheckedMotion | None
     why: str
     gyro_scale: float = 1.0
     accel_scale: float = 1.0
@@ -58,13 +58,13 @@ class Evidence:
     forces: Forces | None = None
 
 
-def gather(imu: ImuRecord, motion: LidarMotion | None, why: str = "") -> Evidence:
+def gather(imu: ImuRecord, motion: CheckedMotion | None, why: str = "") -> Evidence:
     """Prepare what the checks share.
 
     Parameters
     ----------
     imu : ImuRecord
-    motion : LidarMotion or None
+    motion : CheckedMotion or None
     why : str
         Why there is no motion.
     """
@@ -101,7 +101,7 @@ def _accel_scale(batch: ImuBatch) -> float:
     return size if size > 0.0 and not 1.0 / _FAR < size < _FAR else 1.0
 
 
-def _gyro_scale(batch: ImuBatch, motion: LidarMotion) -> float:
+def _gyro_scale(batch: ImuBatch, motion: CheckedMotion) -> float:
     """Return by how much the gyroscope is faster than the LiDAR, from their speeds' spread: rotations would wrap."""
     stamps, T = motion.trajectory.stamps_ns, motion.trajectory.T_frame_body
     if len(stamps) < 3:
@@ -119,7 +119,7 @@ def _gyro_scale(batch: ImuBatch, motion: LidarMotion) -> float:
     return ratio if ratio > 0.0 and not 1.0 / _FAR < ratio < _FAR else 1.0
 
 
-def _within(batch: ImuBatch, motion: LidarMotion) -> ImuBatch:
+def _within(batch: ImuBatch, motion: CheckedMotion) -> ImuBatch:
     """Return the samples that can be compared, whatever the offset; a long recording has many more."""
     stamps, margin = motion.trajectory.stamps_ns, round(1e9 * (FARTHEST + 1.0))
     if not len(stamps):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from heliograph.checks.agreement import check_clock_offset, check_prediction
 from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
 from heliograph.checks.evidence import Evidence, gather
-from heliograph.checks.records import Finding, ImuRecord, LidarMotion
+from heliograph.checks.records import CheckedMotion, Finding, ImuRecord
 from heliograph.checks.signals import check_channels, check_saturation, check_vibration
 from heliograph.checks.stamps import (
     check_clock,
@@ -42,14 +42,14 @@ IMU_CHECKS: tuple[Callable[[Evidence], Finding], ...] = (
 """One function a check; of equally bad findings the earliest is the one to act on first."""
 
 
-def check_imu(imu: ImuRecord, motion: LidarMotion | None = None, why: str = "") -> tuple[Finding, ...]:
+def check_imu(imu: ImuRecord, motion: CheckedMotion | None = None, why: str = "") -> tuple[Finding, ...]:
     """Run all checks of an IMU.
 
     Parameters
     ----------
     imu : ImuRecord
         As recorded.
-    motion : LidarMotion or None
+    motion : CheckedMotion or None
         What the LiDAR alone saw; without it the checks that compare are ``unknown``.
     why : str
         Why there is none, for the findings.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.checks.records import LidarMotion
+from heliograph.checks.records import CheckedMotion
 from heliograph.checks.windows import orientation_at
 from heliograph.data import ImuBatch
 from heliograph.lie import so3
@@ -59,7 +59,7 @@ class Offset:
         return self.told and abs(self.seconds) >= max(WORTH_TELLING, 3.0 * self.sigma)
 
 
-def find_offset(batch: ImuBatch, motion: LidarMotion, *, near: float | None = None) -> Offset | None:
+def find_offset(batch: ImuBatch, motion: CheckedMotion, *, near: float | None = None) -> Offset | None:
     """Return the shift at which the angular speeds correlate best; None where too few scans can be shifted.
 
     Searched nearby first, and far only where nothing nearby fits: a gait repeats itself.
@@ -68,7 +68,7 @@ def find_offset(batch: ImuBatch, motion: LidarMotion, *, near: float | None = No
     ----------
     batch : ImuBatch
         Its gyroscope preferably without bias.
-    motion : LidarMotion
+    motion : CheckedMotion
     near : float
         Search around this shift only [s].
     """
@@ -87,7 +87,7 @@ def find_offset(batch: ImuBatch, motion: LidarMotion, *, near: float | None = No
     return _best(batch, motion, far.seconds, 10.0 * _STEP, _STEP) or nearby
 
 
-def _best(batch: ImuBatch, motion: LidarMotion, center: float, reach: float, step: float) -> Offset | None:
+def _best(batch: ImuBatch, motion: CheckedMotion, center: float, reach: float, step: float) -> Offset | None:
     stamps, R = motion.trajectory.stamps_ns, motion.trajectory.T_frame_body[:, :3, :3]
     early, late = round((center - reach) * 1e9), round((center + reach) * 1e9)
     covered = (stamps + early >= batch.stamps_ns[0]) & (stamps + late <= batch.stamps_ns[-1])

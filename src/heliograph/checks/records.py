@@ -11,7 +11,7 @@ from heliograph.data import ImuRecord, Rig, Trajectory
 from heliograph.data.arrays import frozen
 from heliograph.errors import DataError
 
-__all__ = ["VERDICTS", "CheckReport", "Finding", "ImuRecord", "LidarMotion", "Number", "worst"]
+__all__ = ["VERDICTS", "CheckReport", "CheckedMotion", "Finding", "ImuRecord", "Number", "worst"]
 
 VERDICTS = ("unknown", "ok", "warn", "fail")
 """Verdicts, the worse later. ``unknown``: the recording cannot tell; ``warn``: it costs accuracy, or Heliograph has
@@ -19,7 +19,7 @@ repaired what other programs will stumble over; ``fail``: no estimator can work 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LidarMotion:
+class CheckedMotion:
     """How the LiDAR alone saw the sensor move.
 
     Parameters

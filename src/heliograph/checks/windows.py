@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.checks.records import ImuRecord, LidarMotion
+from heliograph.checks.records import CheckedMotion, ImuRecord
 from heliograph.data import ImuBatch
 from heliograph.lie import interpolate_se3, se3, so3
 
@@ -133,7 +133,7 @@ def orientation_at(batch: ImuBatch, at_ns: Stamps) -> Array:
     return np.asarray(R[before] @ so3.exp(rate * (at - seconds[before])[..., None]))
 
 
-def _windows(batch: ImuBatch, motion: LidarMotion, span: int) -> NDArray[np.int64]:
+def _windows(batch: ImuBatch, motion: CheckedMotion, span: int) -> NDArray[np.int64]:
     """Return the first scan of each window of ``span`` steps that both sensors cover without a break."""
     stamps, count = motion.trajectory.stamps_ns, len(motion) - span
     if count <= 0 or len(batch) < 2:
@@ -151,7 +151,7 @@ def _windows(batch: ImuBatch, motion: LidarMotion, span: int) -> NDArray[np.int6
     return np.asarray(first[steady & whole])
 
 
-def turns_over(batch: ImuBatch, motion: LidarMotion, span: int) -> Turns | None:
+def turns_over(batch: ImuBatch, motion: CheckedMotion, span: int) -> Turns | None:
     """Return what both sensors turned over windows of ``span`` scans; None where there are too few."""
     first = _windows(batch, motion, span)
     if len(first) < 3 * span:
@@ -167,7 +167,7 @@ def turns_over(batch: ImuBatch, motion: LidarMotion, span: int) -> Turns | None:
     return Turns(imu=turned[0], lidar=turned[1], spans=spans, first=first, overlap=span)
 
 
-def forces_over(batch: ImuBatch, motion: LidarMotion, span: int) -> Forces | None:
+def forces_over(batch: ImuBatch, motion: CheckedMotion, span: int) -> Forces | None:
     """Return what both sensors accelerated over windows of twice ``span`` scans; None where there are too few."""
     first = _windows(batch, motion, 2 * span)
     if len(first) < 6 * span:
@@ -213,6 +213,6 @@ def _twice_integrated(seconds: Array, values: Array, at: Array) -> Array:
     return np.asarray(twice[before] + d * once[before] + d**2 / 2 * values[before] + d**3 / 6 * slope[before])
 
 
-def lever_arm(motion: LidarMotion) -> Array:
+def lever_arm(motion: CheckedMotion) -> Array:
     """Return where the IMU sits in the lidar frame, (3,) [m]; zero where nothing tells."""
     return np.asarray(se3.inverse(motion.rig.T_imu_lidar)[:3, 3]) if motion.rig.known else np.zeros(3)

@@ -11,7 +11,7 @@ import typer
 
 if TYPE_CHECKING:
     from heliograph.calibration import Calibration
-    from heliograph.calibration.observability import Axis
+    from heliograph.calibration.observability import CalibratedAxis
     from heliograph.config import RunConfig
 
 __all__ = ["calibration_facts", "mounting_command"]
@@ -145,7 +145,7 @@ def _write(folder: Path, found: Calibration, facts: dict[str, Any]) -> None:
 _SHOWN = {"rotation": ("deg", 57.29577951308232, 3), "lever": ("m", 1.0, 4), "clock offset": ("ms", 1e3, 3)}
 
 
-def _unit(axis: Axis) -> tuple[str, float, int]:
+def _unit(axis: CalibratedAxis) -> tuple[str, float, int]:
     """Return unit, factor from SI and decimals to show a number with."""
     for start, shown in _SHOWN.items():
         if axis.name.startswith(start):
@@ -153,12 +153,12 @@ def _unit(axis: Axis) -> tuple[str, float, int]:
     return "ppm", 1e6, 1
 
 
-def _value(axis: Axis) -> str:
+def _value(axis: CalibratedAxis) -> str:
     unit, factor, decimals = _unit(axis)
     return f"{factor * axis.value:+.{decimals}f} {unit}"
 
 
-def _sigma(axis: Axis) -> str:
+def _sigma(axis: CalibratedAxis) -> str:
     unit, factor, decimals = _unit(axis)
     return f"{factor * axis.sigma:.{decimals}f} {unit}"
 

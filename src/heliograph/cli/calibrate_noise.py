@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from heliograph.cli.noise_charts import TERM_UNITS, noise_charts
+from heliograph.report.noise import TERM_UNITS, noise_charts
 
 if TYPE_CHECKING:
     import numpy as np

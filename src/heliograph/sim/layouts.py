@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from heliograph.errors import ConfigError, closest
 from heliograph.sim.simulate import Sweep
 
-__all__ = ["LAYOUTS", "Layout", "PackedCloud", "find_layout"]
+__all__ = ["LAYOUTS", "PackedCloud", "SimulatedLayout", "find_layout"]
 
 _Fields = list[tuple[str, str, int]]
 _NAN = np.float32(np.nan)
@@ -48,7 +48,7 @@ class PackedCloud:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class SimulatedLayout:
     """How one driver writes a sweep.
 
     Parameters
@@ -215,9 +215,9 @@ _LIVOX_POINT = _dtype(
 )
 _LIVOX_CLOUD = _dtype([*_XYZI, ("tag", "u1", 16), ("line", "u1", 17), ("timestamp", "<f8", 18)], 26)
 
-LAYOUTS: MappingProxyType[str, Layout] = MappingProxyType(
+LAYOUTS: MappingProxyType[str, SimulatedLayout] = MappingProxyType(
     {
-        name: Layout(name=name, message_type=kind, frame_id=frame, dtype=dtype, pack=pack)
+        name: SimulatedLayout(name=name, message_type=kind, frame_id=frame, dtype=dtype, pack=pack)
         for name, kind, frame, dtype, pack in (
             ("ouster", _CLOUD, "os_lidar", _OUSTER, _ouster),
             ("velodyne", _CLOUD, "velodyne", _VELODYNE, _velodyne),
@@ -233,7 +233,7 @@ LAYOUTS: MappingProxyType[str, Layout] = MappingProxyType(
 )
 
 
-def find_layout(name: str) -> Layout:
+def find_layout(name: str) -> SimulatedLayout:
     """Return a layout by name, or raise `ConfigError` with the names there are."""
     if name not in LAYOUTS:
         raise ConfigError(f"layout '{name}' is unknown; there are {', '.join(LAYOUTS)}{closest(name, LAYOUTS)}")

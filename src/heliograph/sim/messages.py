@@ -13,7 +13,7 @@ from rosbags.typesys.store import Typestore
 
 from heliograph.data import GnssFix
 from heliograph.lie import so3
-from heliograph.sim.layouts import Layout, PackedCloud
+from heliograph.sim.layouts import PackedCloud, SimulatedLayout
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Msg
@@ -46,7 +46,7 @@ class Messages:
         stamp = self._types["builtin_interfaces/msg/Time"](sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
         return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
 
-    def cloud(self, layout: Layout, cloud: PackedCloud) -> bytes | memoryview:
+    def cloud(self, layout: SimulatedLayout, cloud: PackedCloud) -> bytes | memoryview:
         """Return a PointCloud2 or a Livox CustomMsg."""
         if layout.message_type.endswith("/CustomMsg"):
             return _livox(layout.frame_id, cloud)

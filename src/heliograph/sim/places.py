@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.lie import so3
 from heliograph.sim.trajectory import Course
-from heliograph.sim.world import Primitive, Surface, World, box, cylinder, rectangle
+from heliograph.sim.world import Primitive, SimulatedWorld, Surface, box, cylinder, rectangle
 
 __all__ = ["PLACES", "Place"]
 
@@ -34,13 +34,13 @@ class Place:
 
     Parameters
     ----------
-    world : World
+    world : SimulatedWorld
         What the LiDAR sees.
     course : Course
         Way of the IMU [m].
     """
 
-    world: World
+    world: SimulatedWorld
     course: Course
 
 
@@ -147,7 +147,7 @@ def warehouse(rng: np.random.Generator) -> Place:
     corners = [(7.0, 6.0), (48.0, 6.0), (58.0, 6.0), (69.0, 6.0), (69.0, 18.0), (58.0, 18.0), (48.0, 18.0)]
     corners += [(20.0, 18.0), (20.0, 12.0), (4.0, 12.0), (4.0, 6.0)]
     waypoints = np.array([(x, y, _ramp_height(x) + eye) for x, y in corners])
-    return Place(world=World([*_hall(rng), *_yard(rng)]), course=Course(waypoints=waypoints, corner=2.0))
+    return Place(world=SimulatedWorld([*_hall(rng), *_yard(rng)]), course=Course(waypoints=waypoints, corner=2.0))
 
 
 def aisles(rng: np.random.Generator) -> Place:
@@ -184,7 +184,7 @@ def room(rng: np.random.Generator) -> Place:
     ):
         primitives.append(_carton(rng, x, y, z, (0.45, 0.35, 0.5)))
     waypoints = np.array([(5.0, 1.4, 1.4), (8.4, 1.4, 1.5), (8.2, 5.4, 1.3), (2.0, 5.5, 1.45), (1.7, 1.4, 1.35)])
-    return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=1.1))
+    return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=1.1))
 
 
 def level_room(rng: np.random.Generator) -> Place:
@@ -204,7 +204,7 @@ def tunnel(rng: np.random.Generator) -> Place:
     for x in rng.uniform(-10.0, 130.0, 4):
         primitives.append(_standing(float(x), 2.3, (0.5, 0.3, 0.9), _STEEL))
     waypoints = np.array([(0.0, 0.0, 1.2), (90.0, 0.0, 1.2)])
-    return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=1.0, closed=False))
+    return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=1.0, closed=False))
 
 
 def street(rng: np.random.Generator) -> Place:
@@ -229,7 +229,7 @@ def street(rng: np.random.Generator) -> Place:
             primitives.append(cylinder((x, y, 2.0), 0.25, 4.0, None, _WOOD))
             primitives.append(box((x, y, 5.0), rng.uniform(2.0, 3.5, 3), _yaw(rng.uniform(-0.5, 0.5)), _GRASS))
     waypoints = np.array([(0.0, 0.0, 1.7), (285.0, 0.0, 1.7), (285.0, 200.0, 1.7)])
-    return Place(world=World(primitives), course=Course(waypoints=waypoints, corner=60.0, closed=False))
+    return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=60.0, closed=False))
 
 
 PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(

@@ -16,9 +16,9 @@ from heliograph.sim.geodesy import enu_to_geodetic
 from heliograph.sim.places import PLACES
 from heliograph.sim.scenario import Mount, Scenario
 from heliograph.sim.sensors import ImuErrors, measure_ranges
-from heliograph.sim.trajectory import Motion, WalkedPath
+from heliograph.sim.trajectory import SimulatedMotion, WalkedPath
 
-__all__ = ["EPOCH_NS", "GRAVITY", "Mounting", "Simulation", "Sweep", "Truth", "simulate"]
+__all__ = ["EPOCH_NS", "GRAVITY", "SimulatedMounting", "Simulation", "Sweep", "Truth", "simulate"]
 
 EPOCH_NS = 1_750_000_000_000_000_000  # the recording's first instant; any date will do, this one is in June 2025
 GRAVITY = 9.80665
@@ -28,7 +28,7 @@ _INTENSITY_SCALE = 255.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mounting:
+class SimulatedMounting:
     """Where the sensors sit on the walking body, whose origin is the IMU's.
 
     Parameters
@@ -49,7 +49,7 @@ class Mounting:
         return se3.compose(T_imu_body, self.T_body_lidar)
 
     @classmethod
-    def draw(cls, mount: Mount, rng: np.random.Generator) -> Mounting:
+    def draw(cls, mount: Mount, rng: np.random.Generator) -> SimulatedMounting:
         """Draw lever arm and rotation within the mount's ranges."""
         arm, axis = rng.standard_normal((2, 3))
         arm *= rng.uniform(*mount.lever_arm) / np.linalg.norm(arm)
@@ -70,21 +70,21 @@ class Truth:
     ----------
     path : WalkedPath
         Motion of the walking body.
-    mounting : Mounting
+    mounting : SimulatedMounting
         Where the sensors sit on it.
     begin : float
         Time on the path at the recording's first instant [s].
     """
 
-    def __init__(self, path: WalkedPath, mounting: Mounting, begin: float) -> None:
+    def __init__(self, path: WalkedPath, mounting: SimulatedMounting, begin: float) -> None:
         self._path, self._mounting, self._begin = path, mounting, begin
 
-    def motion(self, stamps_ns: NDArray[np.int64]) -> Motion:
+    def motion(self, stamps_ns: NDArray[np.int64]) -> SimulatedMotion:
         """Return the IMU's motion: world pose, velocity, acceleration, and body rate in IMU axes."""
         seconds = (np.atleast_1d(stamps_ns) - EPOCH_NS).astype(np.float64) * 1e-9
         body = self._path(seconds + self._begin)
         R_body_imu = self._mounting.R_body_imu
-        return Motion(
+        return SimulatedMotion(
             R_world_body=body.R_world_body @ R_body_imu,
             p_world=body.p_world,
             v_world=body.v_world,
@@ -168,7 +168,7 @@ class Simulation:
         walk = scenario.walk
         path = WalkedPath(place.course, scenario.gait, rest=walk.rest, ramp=walk.ramp, speed=walk.speed)
         self.world = place.world
-        self.mounting = Mounting.draw(scenario.mount, self._rng("mount"))
+        self.mounting = SimulatedMounting.draw(scenario.mount, self._rng("mount"))
         self.truth = Truth(path, self.mounting, walk.begin)
         whole = path.profile.stop + walk.after - walk.begin
         self.duration_ns = round((min(walk.duration, whole) if walk.duration > 0.0 else whole) * 1e9)

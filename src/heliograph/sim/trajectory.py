@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from heliograph.errors import DataError
 from heliograph.lie import so3
 
-__all__ = ["Course", "Gait", "Motion", "SpeedProfile", "UniformSpline", "WalkedPath"]
+__all__ = ["Course", "Gait", "SimulatedMotion", "SpeedProfile", "UniformSpline", "WalkedPath"]
 
 Array = NDArray[np.float64]
 
@@ -178,7 +178,7 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
+class SimulatedMotion:
     """State of a moving frame at M instants.
 
     Parameters
@@ -235,7 +235,7 @@ class WalkedPath:
         self._gait = gait
         self.profile = SpeedProfile(rest=rest, ramp=ramp, speed=speed, distance=self._spline.length * self._spacing)
 
-    def __call__(self, t: Array) -> Motion:
+    def __call__(self, t: Array) -> SimulatedMotion:
         """Return the motion of the body at times ``t`` [s], shape (M,), from the beginning of the rest."""
         rate = self.profile.speed / self._spacing
         envelope = [self.profile.fraction(t, k) for k in range(3)]
@@ -264,7 +264,7 @@ class WalkedPath:
         angles = np.stack([roll[0], pitch[0], q[:, 3] + yaw[0]], axis=1)
         rates = np.stack([roll[1], pitch[1], dq[:, 3] + yaw[1]], axis=1)
         R, omega = so3.from_rpy(*angles.T), _body_rate(angles, rates)
-        return Motion(R_world_body=R, p_world=p, v_world=v, a_world=a, omega_body=omega)
+        return SimulatedMotion(R_world_body=R, p_world=p, v_world=v, a_world=a, omega_body=omega)
 
 
 def _sideways(yaw: Array, d_yaw: Array, dd_yaw: Array) -> tuple[Array, Array, Array]:

@@ -12,7 +12,7 @@ from heliograph import _core
 from heliograph.data.arrays import frozen
 from heliograph.errors import DataError
 
-__all__ = ["PRIMITIVE_COLUMNS", "SHAPES", "Returns", "Surface", "World", "box", "cylinder", "rectangle"]
+__all__ = ["PRIMITIVE_COLUMNS", "SHAPES", "Returns", "SimulatedWorld", "Surface", "box", "cylinder", "rectangle"]
 
 SHAPES = {"rectangle": 0, "box": 1, "cylinder": 2}
 PRIMITIVE_COLUMNS = 18
@@ -130,7 +130,7 @@ class Returns:
     primitive: NDArray[np.int32]
 
 
-class World:
+class SimulatedWorld:
     """An immutable set of primitives, indexed for ray casting.
 
     Parameters

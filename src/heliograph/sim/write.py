@@ -17,12 +17,12 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from heliograph.errors import OutputError
 from heliograph.lie import se3, so3
-from heliograph.sim.layouts import Layout, find_layout
+from heliograph.sim.layouts import SimulatedLayout, find_layout
 from heliograph.sim.messages import Messages
 from heliograph.sim.scenario import Scenario, to_toml
 from heliograph.sim.simulate import EPOCH_NS, Simulation
 
-__all__ = ["Recording", "write_recording"]
+__all__ = ["SimulatedRecording", "write_recording"]
 
 _Message = tuple[int, int, str, bytes | memoryview]
 _TYPES = {
@@ -37,7 +37,7 @@ _QUEUE = 64  # messages that wait to be written: about three sweeps with their I
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recording:
+class SimulatedRecording:
     """What `write_recording` wrote.
 
     Parameters
@@ -72,7 +72,7 @@ def write_recording(
     compress: bool = True,
     overwrite: bool = False,
     progress: Callable[[int, int], None] | None = None,
-) -> Recording:
+) -> SimulatedRecording:
     """Simulate a scenario and write it as a recording.
 
     Parameters
@@ -112,7 +112,7 @@ def write_recording(
         sweeps = _write_files(folder, simulation, chosen, compress=compress, progress=progress)
     except OSError as error:
         raise OutputError(f"{folder} cannot be written: {error.strerror or error}") from error
-    return Recording(
+    return SimulatedRecording(
         folder=folder,
         recording=folder / "recording.mcap",
         groundtruth_imu=folder / "groundtruth_imu.tum",
@@ -127,7 +127,7 @@ def write_recording(
 def _write_files(
     folder: Path,
     simulation: Simulation,
-    layout: Layout,
+    layout: SimulatedLayout,
     *,
     compress: bool,
     progress: Callable[[int, int], None] | None,
@@ -149,7 +149,7 @@ def _write_files(
 def _write_bag(
     folder: Path,
     simulation: Simulation,
-    layout: Layout,
+    layout: SimulatedLayout,
     *,
     compress: bool,
     progress: Callable[[int, int], None] | None,
@@ -208,7 +208,7 @@ def _latched() -> Qos:
     )
 
 
-def _transforms(simulation: Simulation, layout: Layout, messages: Messages) -> Iterator[_Message]:
+def _transforms(simulation: Simulation, layout: SimulatedLayout, messages: Messages) -> Iterator[_Message]:
     if not simulation.scenario.mount.tf_static:
         return
     mounting = simulation.mounting
@@ -230,7 +230,7 @@ def _fixes(simulation: Simulation, messages: Messages) -> Iterator[_Message]:
         yield fix.received_ns, 2, "/gnss/fix", messages.fix(fix)
 
 
-def _clouds(simulation: Simulation, layout: Layout, messages: Messages) -> Iterator[_Message]:
+def _clouds(simulation: Simulation, layout: SimulatedLayout, messages: Messages) -> Iterator[_Message]:
     for sweep in simulation.sweeps():
         yield sweep.end_ns, 3, _POINTS, messages.cloud(layout, layout.pack(sweep, layout.dtype))
 

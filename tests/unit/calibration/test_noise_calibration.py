@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from heliograph.calibration import calibrate_noise
 from heliograph.cli.calibrate_noise import noise_facts, noise_lines
-from heliograph.cli.noise_charts import noise_charts
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch
 from heliograph.errors import DataError
+from heliograph.report.noise import noise_charts
 from imu_noise import START_NS, resting_imu
 
 CONFIG = ImuConfig()

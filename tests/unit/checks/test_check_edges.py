@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from heliograph.checks import IMU_CHECKS, CheckReport, ImuRecord, LidarMotion, check_imu
+from heliograph.checks import IMU_CHECKS, CheckedMotion, CheckReport, ImuRecord, check_imu
 from heliograph.data import Rig, Trajectory
 from heliograph.errors import DataError
 from heliograph.output.facts import plain
@@ -55,7 +55,7 @@ def test_checks_answer_however_little_overlaps(seed, begin, count, scans):
     imu, motion = RECORDS
     rng = np.random.default_rng(seed)
     index = np.sort(rng.permutation(np.arange(begin, min(begin + count, len(imu)))))
-    part = LidarMotion(
+    part = CheckedMotion(
         trajectory=Trajectory(
             stamps_ns=motion.trajectory.stamps_ns[:scans], T_frame_body=motion.trajectory.T_frame_body[:scans]
         ),
@@ -81,7 +81,7 @@ def test_no_motion_is_unknown_where_motion_is_needed():
     six = np.concatenate([1e-3 * rng.standard_normal((n, 3)), [0, 0, 9.8] + 0.01 * rng.standard_normal((n, 3))], axis=1)
     T = np.tile(np.eye(4), (scans, 1, 1))
     T[:, :3, 3] += 0.003 * rng.standard_normal((scans, 3))
-    motion = LidarMotion(
+    motion = CheckedMotion(
         trajectory=Trajectory(stamps_ns=np.arange(scans) * (SECOND // 10), T_frame_body=T),
         tracked=np.ones(scans, bool),
         rig=Rig(T_imu_lidar=np.eye(4), source="tf_static"),
@@ -99,7 +99,7 @@ def test_all_zero_samples_are_told():
 
 def test_lidar_that_was_never_tracked_is_unknown():
     imu, motion = RECORDS
-    lost = LidarMotion(trajectory=motion.trajectory, tracked=np.zeros(len(motion), bool), rig=motion.rig, sweep=0.1)
+    lost = CheckedMotion(trajectory=motion.trajectory, tracked=np.zeros(len(motion), bool), rig=motion.rig, sweep=0.1)
     verdicts = answered(imu, lost)
     assert verdicts["gyro-axes"] == verdicts["imu-prediction"] == "unknown"
 
@@ -109,4 +109,4 @@ def test_records_refuse_lengths_that_differ():
     with pytest.raises(DataError, match="gyro"):
         ImuRecord(stamps_ns=imu.stamps_ns, received_ns=imu.received_ns, gyro=imu.gyro[:5].copy(), accel=imu.accel)
     with pytest.raises(DataError, match="tracked"):
-        LidarMotion(trajectory=motion.trajectory, tracked=np.ones(3, bool), rig=motion.rig)
+        CheckedMotion(trajectory=motion.trajectory, tracked=np.ones(3, bool), rig=motion.rig)

@@ -9,7 +9,7 @@ from heliograph.errors import DataError
 from heliograph.lie import so3
 from heliograph.sim.places import PLACES
 from heliograph.sim.sensors import LidarModel
-from heliograph.sim.world import Surface, World, box, cylinder, rectangle
+from heliograph.sim.world import SimulatedWorld, Surface, box, cylinder, rectangle
 from reference.raycast import cast_slowly
 
 
@@ -28,7 +28,7 @@ def random_world(rng, count):
             primitives.append(box(center, size, R, surface))
         else:
             primitives.append(cylinder(center, size[0] / 2.0, size[2], R, surface))
-    return World(primitives)
+    return SimulatedWorld(primitives)
 
 
 def random_poses(rng, count):
@@ -70,23 +70,23 @@ def test_cast_of_the_warehouse_agrees_with_its_twin(rng):
 def test_brightness_is_reflectivity_times_cosine():
     wall = rectangle((5.0, 0.0, 0.0), (4.0, 4.0), so3.from_rpy(0.0, np.pi / 2, 0.0), Surface(contrast=0.0))
     for angle in (0.0, 0.2):
-        got = World([wall]).cast(look(np.cos(angle), np.sin(angle)), np.eye(4)[None])
+        got = SimulatedWorld([wall]).cast(look(np.cos(angle), np.sin(angle)), np.eye(4)[None])
         assert got.range[0, 0] == pytest.approx(5.0 / np.cos(angle), abs=1e-12)
         assert got.brightness[0, 0] == pytest.approx(0.5 * np.cos(angle), abs=1e-6)
 
 
 def test_ray_from_inside_a_box_sees_its_far_face():
-    got = World([box((0.0, 0.0, 0.0), (2.0, 4.0, 6.0))]).cast(look(0.0, 1.0), np.eye(4)[None])
+    got = SimulatedWorld([box((0.0, 0.0, 0.0), (2.0, 4.0, 6.0))]).cast(look(0.0, 1.0), np.eye(4)[None])
     assert got.range[0, 0] == pytest.approx(2.0)
 
 
 def test_ray_along_a_cylinder_axis_sees_its_cap():
-    got = World([cylinder((0.0, 0.0, 5.0), 0.5, 2.0)]).cast(look(0.0, 0.0, 1.0), np.eye(4)[None])
+    got = SimulatedWorld([cylinder((0.0, 0.0, 5.0), 0.5, 2.0)]).cast(look(0.0, 0.0, 1.0), np.eye(4)[None])
     assert got.range[0, 0] == pytest.approx(4.0)
 
 
 def test_range_limits_hide_what_is_outside():
-    world = World([box((5.0, 0.0, 0.0), (2.0, 1.0, 1.0))])
+    world = SimulatedWorld([box((5.0, 0.0, 0.0), (2.0, 1.0, 1.0))])
     for limits, want in (((0.0, 3.9), 0.0), ((0.0, 4.1), 4.0), ((4.1, 9.0), 6.0), ((6.1, 9.0), 0.0)):
         got = world.cast(look(), np.eye(4)[None], min_range=limits[0], max_range=limits[1])
         assert got.range[0, 0] == pytest.approx(want)
@@ -95,8 +95,8 @@ def test_range_limits_hide_what_is_outside():
 
 def test_coinciding_surfaces_go_to_the_first_named():
     walls = [box((5.0, 0.0, 0.0), (2.0, s, s)) for s in (1.0, 2.0, 3.0)]
-    assert World(walls).cast(look(), np.eye(4)[None]).primitive[0, 0] == 0
-    assert World(walls[::-1]).cast(look(), np.eye(4)[None]).primitive[0, 0] == 0
+    assert SimulatedWorld(walls).cast(look(), np.eye(4)[None]).primitive[0, 0] == 0
+    assert SimulatedWorld(walls[::-1]).cast(look(), np.eye(4)[None]).primitive[0, 0] == 0
 
 
 def test_cast_does_not_depend_on_threads(rng):
@@ -111,4 +111,4 @@ def test_cast_does_not_depend_on_threads(rng):
 
 def test_cast_refuses_a_wrong_number_of_poses():
     with pytest.raises(DataError, match="T_world_sensor"):
-        World([]).cast(look(), np.tile(np.eye(4), (2, 1, 1)))
+        SimulatedWorld([]).cast(look(), np.tile(np.eye(4), (2, 1, 1)))

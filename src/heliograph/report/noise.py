@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from heliograph.imu.noise_terms import FLICKER_FLOOR, allan_variance
+from heliograph.report.loglog import Curve, Guide, loglog_svg
+
 if TYPE_CHECKING:
     from heliograph.calibration.noise import NoiseCalibration, RestNoise
     from heliograph.imu.white_floor import WhiteFloor
-    from heliograph.report.loglog import Curve, Guide
 
 __all__ = ["TERM_UNITS", "noise_charts"]
 
@@ -38,9 +40,6 @@ def noise_charts(result: NoiseCalibration) -> dict[str, str]:
 
 
 def _allan_chart(rest: RestNoise, sensor: str, first: int, rate: float) -> str:
-    from heliograph.imu.noise_terms import allan_variance
-    from heliograph.report.loglog import Curve, loglog_svg
-
     tau = rest.curve.tau
     curves: list[Curve] = []
     for k, axis in enumerate("xyz"):
@@ -64,9 +63,6 @@ def _allan_chart(rest: RestNoise, sensor: str, first: int, rate: float) -> str:
 
 def _guides(rest: RestNoise, sensor: str, first: int) -> list[Guide]:
     """Return where the terms are read off, for the mean of the axes that show them: N at 1 s, K at 3 s, B anywhere."""
-    from heliograph.imu.noise_terms import FLICKER_FLOOR
-    from heliograph.report.loglog import Guide
-
     guides = []
     tau = rest.curve.tau
     middle = float(np.exp(np.mean(np.log(rest.floor_tau[first : first + 3]))))
@@ -100,8 +96,6 @@ def _shown_at(rest: RestNoise, first: int, at: float, y: float, slope: float) ->
 
 
 def _spectrum_chart(motion: WhiteFloor, sensor: str, first: int, duration: float) -> str:
-    from heliograph.report.loglog import Curve, Guide, loglog_svg
-
     axes = slice(first, first + 3)
     curves = [
         Curve(x=motion.frequency, y=motion.spectrum[:, first + k], color=k + 1, label=axis)
