@@ -11,9 +11,7 @@ from typing import Any
 from benchmarks.accuracy import accuracy, evo_ate, in_imu_frame
 from benchmarks.process import measure, version_of
 from benchmarks.rivals import Adapter, Job
-from heliograph.io import open_recording
-from heliograph.io.files.clouds import read_cloud
-from heliograph.io.files.tum import read_tum
+from heliograph.io import open_recording, read_cloud, read_tum
 from heliograph.metrics import map_sharpness
 
 __all__ = ["compare", "sharpness"]

@@ -19,8 +19,7 @@ from benchmarks.accuracy import accuracy, in_imu_frame
 from benchmarks.process import Cost, measure, version_of
 from benchmarks.rivals import Adapter, Job
 from heliograph.data import Trajectory
-from heliograph.io import open_recording
-from heliograph.io.files.tum import read_tum
+from heliograph.io import open_recording, read_tum
 
 __all__ = ["alternate", "simulated"]
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.data import Trajectory
-from heliograph.io.files.tum import read_tum
+from heliograph.io import read_tum
 from heliograph.metrics import align, associate, evaluate
 from heliograph.sim import SCENARIOS, Scenario
 from heliograph.sim.scenario import to_toml

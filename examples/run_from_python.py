@@ -13,8 +13,7 @@ import numpy as np
 
 from heliograph.config import RunConfig
 from heliograph.data import ScanResult, Trajectory
-from heliograph.io import open_recording
-from heliograph.io.files.tum import write_tum
+from heliograph.io import open_recording, write_tum
 from heliograph.metrics import path_length
 from heliograph.odometry import make_odometry
 

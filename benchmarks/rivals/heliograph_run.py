@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.rivals.adapter import Adapter, Job
 from heliograph.data import Trajectory
-from heliograph.io.files.tum import read_tum
+from heliograph.io import read_tum
 
 
 def _command(job: Job) -> list[str]:

@@ -16,7 +16,8 @@ __all__ = ["interruptible"]
 def interruptible() -> Iterator[Callable[[], bool]]:
     """Yield a function that tells whether Ctrl-C was pressed; a second Ctrl-C raises `KeyboardInterrupt` at once.
 
-    An exception out of the middle of an update would leave sinks that disagree about the last scan.
+    Where the process ignores Ctrl-C it stays ignored. An exception out of the middle of an update would leave sinks
+    that disagree about the last scan.
     """
     asked = threading.Event()
 
@@ -26,7 +27,10 @@ def interruptible() -> Iterator[Callable[[], bool]]:
         asked.set()
         print("\ninterrupted: saving what is done; press Ctrl-C again to stop at once", file=sys.stderr)
 
-    if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
+    # Only the main thread may set handlers; and where Ctrl-C is ignored from the start, as behind `nohup` or in a
+    # shell's background, it is meant for somebody else.
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         yield asked.is_set
         return
     before = signal.signal(signal.SIGINT, note)

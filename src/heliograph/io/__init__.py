@@ -1,8 +1,24 @@
 """Recordings in, results out: readers, what they infer about the data, and writers."""
 
+from heliograph.io.files.clouds import read_cloud, write_cloud
+from heliograph.io.files.extrinsic import read_extrinsic, write_extrinsic
+from heliograph.io.files.tum import read_tum, write_tum
 from heliograph.io.inference.record import Inference
 from heliograph.io.info import InfoReport, inspect_recording
 from heliograph.io.prefetch import prefetch
 from heliograph.io.recording import Recording, open_recording
 
-__all__ = ["Inference", "InfoReport", "Recording", "inspect_recording", "open_recording", "prefetch"]
+__all__ = [
+    "Inference",
+    "InfoReport",
+    "Recording",
+    "inspect_recording",
+    "open_recording",
+    "prefetch",
+    "read_cloud",
+    "read_extrinsic",
+    "read_tum",
+    "write_cloud",
+    "write_extrinsic",
+    "write_tum",
+]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from heliograph.cli import progress
+from heliograph.cli.interrupt import interruptible
 from heliograph.config_toml import load_config
 from heliograph.io.files.clouds import read_cloud
 from heliograph.io.files.tum import read_tum
@@ -101,7 +102,17 @@ def test_run_on_one_sensor_says_so(call, recording, tmp_path, sensors, files):
         assert facts["status"] == "degraded" and "map.ply" not in written and "report.html" in written
 
 
-def test_run_interrupted_saves_what_is_done_and_exits_130(call, recording, tmp_path, monkeypatch):
+@pytest.fixture
+def sigint():
+    """Set the handler of Ctrl-C, which a suite that runs in the background finds ignored, and put it back."""
+    before = signal.getsignal(signal.SIGINT)
+    yield lambda handler: signal.signal(signal.SIGINT, handler)
+    signal.signal(signal.SIGINT, before)
+
+
+def test_run_interrupted_saves_what_is_done_and_exits_130(call, recording, tmp_path, monkeypatch, sigint):
+    sigint(signal.default_int_handler)
+
     class Impatient(progress.ProgressSink):
         def add(self, result):
             if result.index == 20:
@@ -116,6 +127,14 @@ def test_run_interrupted_saves_what_is_done_and_exits_130(call, recording, tmp_p
     assert len(read_cloud(tmp_path / "out" / "map.ply")) > 1000
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_interrupt_that_the_process_ignores_stays_ignored(sigint):
+    sigint(signal.SIG_IGN)
+    with interruptible() as stop:
+        signal.raise_signal(signal.SIGINT)
+        assert not stop()
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
 def test_run_on_a_full_disk_leaves_valid_files_and_one_line(call, recording, tmp_path, no_report):

@@ -12,6 +12,16 @@ from heliograph.output import judge
         ({"tracked": 80, "empty": 20}, "degraded", "20%"),
         ({"tracked": 85, "lost": 15}, "lost", "15%"),
         ({"tracked": 40, "predicted": 60}, "lost", "60%"),
+        ({"tracked": 91, "degenerate": 9}, "ok", None),
+        ({"tracked": 90, "degenerate": 10}, "degraded", "unobservable in 10%"),
+        ({"tracked": 89, "degenerate": 11}, "degraded", "unobservable in 11%"),
+        ({"tracked": 91, "empty": 9}, "ok", None),
+        ({"tracked": 90, "empty": 4, "predicted": 6}, "degraded", "10%"),
+        ({"tracked": 89, "predicted": 11}, "degraded", "11%"),
+        ({"tracked": 91, "lost": 9}, "ok", None),
+        ({"tracked": 90, "lost": 10}, "lost", "10%"),
+        ({"tracked": 51, "empty": 49}, "degraded", "49%"),
+        ({"tracked": 50, "empty": 50}, "lost", "50%"),
     ],
 )
 def test_judge_calls_a_run_by_the_share_of_bad_scans(statuses, status, word):

@@ -42,6 +42,25 @@ def test_accelerometer_unit_is_told_by_gravity(rng, scale, unit, factor):
     assert [e.code for e in units.events] == (["accel-in-g"] if unit == "g" else [])
 
 
+@pytest.mark.parametrize(
+    ("size", "factor", "code"),
+    [
+        (0.29, 1.0, "accel-unit"),
+        (0.31, GRAVITY, "accel-in-g"),
+        (2.9, GRAVITY, "accel-in-g"),
+        (3.1, 1.0, None),
+        (7.9, 1.0, None),
+        (29.0, 1.0, None),
+        (31.0, 1.0, "accel-unit"),
+    ],
+)
+def test_accelerometer_counts_in_g_up_to_a_magnitude_of_3(size, factor, code):
+    accel = np.tile([0.0, 0.0, size], (50, 1))
+    units = infer_imu_units(samples(np.zeros((50, 3)), accel), InputConfig())
+    assert units.accel == factor
+    assert [e.code for e in units.events] == ([code] if code else [])
+
+
 def test_accelerometer_in_no_known_unit_warns(rng):
     gyro, accel = rocking(rng)
     units = infer_imu_units(samples(gyro, accel * 1000), InputConfig())

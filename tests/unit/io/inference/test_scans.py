@@ -87,6 +87,15 @@ def test_foreign_byte_order_and_long_integers_give_the_same_scan():
     assert other.stamp_ns - plain.stamp_ns == epoch
 
 
+def test_epoch_in_seconds_keeps_every_digit_that_a_double_has():
+    # A double holds 1.75e9 s to 2^-22 s = 238.4 ns; the same instant in nanoseconds as a double only to 256 ns.
+    columns = {name: np.ones(2, np.float32) for name in "xyz"}
+    columns["t"] = 1_750_000_000 + np.array([3.0, 3.0 + 2**17]) * 2**-22
+    scan = to_scan(cloud_of(columns), PointTiming(method="field", field="t", ns_per_unit=1e9, reference="absolute"))
+    assert scan.stamp_ns == 1_750_000_000_000_000_715  # 3 * 238.42 ns after the second
+    assert scan.offsets_ns.tolist() == [0, 31_250_000]
+
+
 def test_offsets_equal_the_slow_twin():
     times = np.array([0.5, 0.0, 1.0, 2.5e-9, 3.5e-9, 3.0, np.nan, np.inf, -np.inf, 2.0])
     offsets, largest, outside = _core.sweep_offsets(times, 0.0, 1e9, 2_000_000_000.0)
