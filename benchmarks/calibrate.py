@@ -70,7 +70,7 @@ def trial(motion: str, seed: int) -> dict[str, Any]:
         "nees": nees,
         "told": told,
         "passes": found.passes,
-        "settled": found.settled,
+        "settled": found.converged,
         "cpu_s": round(seconds, 2),
     }
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.calibration import calibrate
-from heliograph.calibration.beliefs import Beliefs, LidarPoses, RigPrior
 from heliograph.calibration.gather import refined
 from heliograph.calibration.observability import difference, prior_sigmas
-from heliograph.calibration.rounds import change_from, settle
+from heliograph.calibration.rounds import change_from, run_rounds
+from heliograph.calibration.states import CalibrationState, LidarPoses, RigPrior
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, ImuClock, Rig
 from heliograph.lie import se3, so3
@@ -56,7 +56,7 @@ def judged(sensors, found, observed, result):
     seen = ~observed.kept
     nees = float(np.sum(parts[seen] ** 2 * (1.0 + observed.gains[seen] ** 2)))
     kept = observed.directions[:, observed.kept] @ np.linalg.inv(observed.directions)[observed.kept]
-    return Trial(error=observed.told(error), nees=nees, told=int(seen.sum()), kept=kept, result=result)
+    return Trial(error=observed.observed_part(error), nees=nees, told=int(seen.sum()), kept=kept, result=result)
 
 
 def recording_trial(scenario, seed, *, config=CONFIG, **changes):
@@ -83,8 +83,10 @@ def pose_trial(scenario, seed, *, period_ns=100_000_000, config=CONFIG, **change
         information=np.diag(prior_sigmas(config.calibration) ** -2.0),
     )
     up = noisy[0, :3, :3] @ wrong.T_imu_lidar[:3, :3].T @ accel[:100].mean(axis=0)
-    start = Beliefs(T_imu_lidar=prior.T_imu_lidar, clock=prior.clock, g_odom=-9.80665 * up / np.linalg.norm(up))
-    rounds = settle(
+    start = CalibrationState(
+        T_imu_lidar=prior.T_imu_lidar, clock=prior.clock, g_odom=-9.80665 * up / np.linalg.norm(up)
+    )
+    rounds = run_rounds(
         poses,
         lambda _: poses,
         refined(imu),
@@ -94,7 +96,7 @@ def pose_trial(scenario, seed, *, period_ns=100_000_000, config=CONFIG, **change
         start=start,
         bias=np.concatenate([gyro[:100].mean(axis=0), np.zeros(3)]),
     )
-    change = rounds.observed.told(change_from(prior, rounds.estimate.beliefs))
+    change = rounds.observed.observed_part(change_from(prior, rounds.estimate.state))
     found = wrong.T_imu_lidar.copy()
     found[:3, :3] = so3.exp(change[:3]) @ found[:3, :3]
     found[:3, 3] += change[3:6]

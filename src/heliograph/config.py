@@ -8,6 +8,7 @@ from heliograph.config_checks import check_choice, check_range
 
 __all__ = [
     "CalibrationConfig",
+    "CheckConfig",
     "CloudConfig",
     "FilterConfig",
     "ImuConfig",
@@ -41,6 +42,8 @@ class InputConfig:
         TOML file with ``T_imu_lidar`` as ``rotation`` (3x3 or quaternion xyzw) and ``translation`` [m].
     start, duration : float
         Part of the recording to use [s]; a duration of 0 means: to the end.
+    max_probe : float
+        How much from the start is read at most to infer what is not given; a sensor that begins later is not found [s].
     """
 
     lidar_topic: str = ""
@@ -53,6 +56,7 @@ class InputConfig:
     extrinsic: str = ""
     start: float = 0.0
     duration: float = 0.0
+    max_probe: float = 20.0
 
     def __post_init__(self) -> None:
         check_choice(self, "point_time_unit", "", "s", "ms", "us", "ns")
@@ -60,6 +64,7 @@ class InputConfig:
         check_choice(self, "accel_unit", "", "m/s^2", "g")
         check_choice(self, "gyro_unit", "", "rad/s", "deg/s")
         check_range(self, "start", "duration", low=0.0)
+        check_range(self, "max_probe", above=0.0, high=600.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,9 +76,10 @@ class ImuConfig:
     gravity : float
         Length of gravity [m/s^2].
     gyro_noise, accel_noise : float
-        White noise of an IMU never seen at rest, and the most that rest may tell [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+        White noise of an IMU never at rest, and the upper limit of what is estimated at rest [rad/s/sqrt(Hz)],
+        [m/s^2/sqrt(Hz)].
     gyro_noise_floor, accel_noise_floor : float
-        The least that rest may tell: it shows neither scale errors nor vibration.
+        Lower limit of what is estimated at rest, which shows neither scale errors nor vibration.
     gyro_walk, accel_walk : float
         Bias random walks [rad/s^2/sqrt(Hz)], [m/s^3/sqrt(Hz)].
     gyro_bias_sigma, accel_bias_sigma : float
@@ -97,17 +103,17 @@ class ImuConfig:
     still_duration : float
         Least rest for a static start [s].
     still_gyro_sigma, still_accel_sigma : float
-        Most spread of a channel at rest [rad/s], [m/s^2].
+        Largest standard deviation of a channel at rest [rad/s], [m/s^2].
     still_rate, still_gravity_error : float
-        Most mean rate [rad/s] and most error of the mean force's length [m/s^2] at rest.
+        Largest mean rate [rad/s] and largest error of the mean force's length [m/s^2] at rest.
     biased_rate, biased_gravity_error : float
         The same where the LiDAR confirms that nothing moves or turns, so that it can only be a bias.
     still_speed, still_turn : float
-        Most speed [m/s] and rate [rad/s] that the LiDAR may see at rest.
+        Largest speed [m/s] and rate [rad/s] of the LiDAR odometry at rest.
     still_block : float
-        Vibration is told from motion by means over this long [s].
+        Vibration is separated from motion by means over this long [s].
     vibration_gyro, vibration_accel : float
-        Most spread of a channel at rest on something that vibrates [rad/s], [m/s^2].
+        Largest standard deviation of a channel at rest on something that vibrates [rad/s], [m/s^2].
     """
 
     gravity: float = 9.80665
@@ -211,7 +217,7 @@ class MapConfig:
     radius : float
         What lies farther from the sensor is forgotten [m].
     max_voxels : int
-        Most cubes held.
+        Largest number of cubes.
     """
 
     voxel: float = 0.25
@@ -241,7 +247,7 @@ class FilterConfig:
     Parameters
     ----------
     max_iterations : int
-        Of one update, once its kernel has narrowed.
+        Iterations of one update, once its kernel has narrowed.
     tolerance_rotation, tolerance_position : float
         An update has converged when a step is smaller [rad], [m].
     residual : str
@@ -257,11 +263,11 @@ class FilterConfig:
     max_kernel : float
         Widest kernel that an uncertain prediction may open [m].
     correlation : float
-        How many matches tell as much as one independent one: neighbouring points share their plane's error.
+        How many matches count as one independent one: neighbouring points share their plane's error.
     systematic : float
         Share of the range noise that does not average out within a scan; the map's drift is accounted for with it.
     fallback_stride : int
-        One of so many points without a plane asks for its neighbours; 0 switches the fallback off.
+        One in ``fallback_stride`` points without a plane asks for its neighbours; 0 switches the fallback off.
     min_matches : int
         Fewer matches make no update.
     vague_share : float
@@ -287,7 +293,7 @@ class FilterConfig:
     time_drift_sigma_ppm : float
         One-sigma of how much faster or slower the IMU's clock may run [1e-6]; 0 takes the offset for constant.
     calibration_gain : float
-        A direction of mounting and clock is left alone until the motion tells it so many times better than that.
+        A direction of mounting and clock is left alone until the motion lowers its sigma by this factor.
     """
 
     max_iterations: int = 6
@@ -336,7 +342,7 @@ class FilterConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationConfig:
-    """`heliograph calibrate`: what is believed beforehand, and what counts as found.
+    """`heliograph calibrate`: the prior, and what counts as observed.
 
     Parameters
     ----------
@@ -347,17 +353,20 @@ class CalibrationConfig:
     useful_rotation_deg, useful_lever, useful_offset, useful_drift_ppm : float
         What is known better than this counts as observed [deg], [m], [s], [1e-6].
     gain : float
-        The motion must tell a direction so many times better than the prior does, or the prior is kept there.
+        The motion must lower the sigma of a direction by this factor, or the prior is kept there.
     search : float
         Clock offsets looked at, on either side [s].
     points : int
-        Most points of a scan that are used.
+        Largest number of points of a scan that are used.
     matches : int
         Points to place a scan with.
     passes : int
-        Most rounds of de-skewing, placing and solving.
+        Largest number of rounds of de-skewing, placing and solving.
     longest : float
-        Of the recording looked at [s].
+        How much of the recording is used, from its start [s].
+    plane_sigma, plane_kernel, plane_gate : float
+        Range noise across planes that placing starts from, scale of its robust kernel, and largest distance of a match
+        [m]; a LiDAR whose ranges scatter by more than 5 cm needs all three larger.
     """
 
     prior_rotation_deg: float = 5.0
@@ -374,13 +383,71 @@ class CalibrationConfig:
     matches: int = 2500
     passes: int = 10
     longest: float = 90.0
+    plane_sigma: float = 0.02
+    plane_kernel: float = 0.06
+    plane_gate: float = 0.15
 
     def __post_init__(self) -> None:
         check_range(self, "prior_rotation_deg", "prior_lever", "prior_offset", "prior_drift_ppm", above=0.0)
         check_range(self, "useful_rotation_deg", "useful_lever", "useful_offset", "useful_drift_ppm", above=0.0)
-        check_range(self, "search", "longest", above=0.0)
+        check_range(self, "search", "longest", "plane_sigma", "plane_kernel", "plane_gate", above=0.0)
         check_range(self, "gain", "passes", low=1)
         check_range(self, "points", "matches", low=100)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckConfig:
+    """`heliograph check`: from where on a finding warns or fails.
+
+    Parameters
+    ----------
+    min_rate, good_rate : float
+        A lower rate of the IMU fails, warns [Hz].
+    max_gap : float
+        A longer pause of the IMU fails [s].
+    warn_missing, max_missing : float
+        Share of missing samples above which their count warns, fails.
+    max_jitter : float
+        Half the distance from the 5th to the 95th percentile of the samples' steps above which it warns [periods].
+    max_drift_ppm : float
+        Drift of the IMU's clock against the recorder's above which it warns [1e-6].
+    warn_offset, max_offset : float
+        Offset of the clocks of IMU and LiDAR above which it warns, fails [s].
+    warn_mounting_deg, max_mounting_deg : float
+        Error of the mounting above which it warns, fails [deg].
+    max_accel_scale, max_gyro_scale : float
+        Relative error of a sensor's scale above which it warns.
+    warn_vibration_accel, max_vibration_accel : float
+        Root mean square of the specific force above 15 Hz beyond which it warns, fails [m/s^2].
+    warn_vibration_gyro, max_vibration_gyro : float
+        The same of the angular rate [rad/s].
+    """
+
+    min_rate: float = 5.0
+    good_rate: float = 90.0
+    max_gap: float = 0.5
+    warn_missing: float = 0.005
+    max_missing: float = 0.1
+    max_jitter: float = 0.3
+    max_drift_ppm: float = 200.0
+    warn_offset: float = 0.015
+    max_offset: float = 0.2
+    warn_mounting_deg: float = 3.0
+    max_mounting_deg: float = 15.0
+    max_accel_scale: float = 0.05
+    max_gyro_scale: float = 0.05
+    warn_vibration_accel: float = 2.0
+    max_vibration_accel: float = 10.0
+    warn_vibration_gyro: float = 0.15
+    max_vibration_gyro: float = 0.75
+
+    def __post_init__(self) -> None:
+        check_range(self, "min_rate", "good_rate", "max_gap", "max_jitter", "max_drift_ppm", above=0.0)
+        check_range(self, "warn_missing", "max_missing", low=0.0, high=1.0)
+        check_range(self, "warn_offset", "max_offset", "max_accel_scale", "max_gyro_scale", above=0.0)
+        check_range(self, "warn_mounting_deg", "max_mounting_deg", above=0.0, high=180.0)
+        check_range(self, "warn_vibration_accel", "max_vibration_accel", above=0.0)
+        check_range(self, "warn_vibration_gyro", "max_vibration_gyro", above=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -429,6 +496,7 @@ class RunConfig:
     map: MapConfig = field(default_factory=MapConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    check: CheckConfig = field(default_factory=CheckConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
 
     def __post_init__(self) -> None:

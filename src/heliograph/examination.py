@@ -93,7 +93,11 @@ def examine_imu(
         ],
         "events": [asdict(event) for event in recording.events if event.code in _INERTIAL_EVENTS],
     }
-    return CheckReport(recording=recording.description, findings=check_imu(imu, motion, why or unseen), facts=facts)
+    return CheckReport(
+        recording=recording.description,
+        findings=check_imu(imu, motion, why or unseen, config=config.check),
+        facts=facts,
+    )
 
 
 def lidar_motion(

@@ -17,6 +17,10 @@ from heliograph.errors import ConfigError
         "filter.correlation=0.0",
         "filter.residual=line",
         "imu.max_step=0.0",
+        "input.max_probe=0.0",
+        "check.max_missing=1.5",
+        "check.max_mounting_deg=181.0",
+        "calibration.plane_gate=0.0",
     ],
 )
 def test_estimator_settings_out_of_range_are_refused_by_name(setting):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.calibration.beliefs import Beliefs, CalibrationMotion, LidarPoses, RigPrior
+from heliograph.calibration.states import CalibrationMotion, CalibrationState, LidarPoses, RigPrior
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import CalibrationError
@@ -34,10 +34,10 @@ Array = NDArray[np.float64]
 
 # Keys: the states count from 0, their biases from here; the rest is far above both.
 _BIASES, _MOUNTING, _CLOCK, _GRAVITY = 500_000, 1_000_000, 1_000_001, 1_000_002
-_KERNEL = 5.0  # sigmas of a whole pose (6 numbers) beyond which a scan that was placed wrongly loses weight
-_VAGUE = 1e3  # one-sigma of what nothing is known of [rad], [m], [m/s]
-_ABOUT_NS = 25_000_000  # on either side of an instant
-_SIZES = (0.01, 100.0)  # between which that may change in one round
+_POSE_KERNEL = 5.0  # sigmas of a whole pose (6 numbers) beyond which a scan that was placed wrongly loses weight
+_VAGUE_SIGMA = 1e3  # one-sigma of what nothing is known of [rad], [m], [m/s]
+_RATE_WINDOW_NS = 25_000_000  # on either side of an instant
+_NOISE_SCALE_LIMITS = (0.01, 100.0)  # between which that may change in one round
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,16 +46,16 @@ class Estimate:
 
     Parameters
     ----------
-    beliefs : Beliefs
+    state : CalibrationState
     motion : CalibrationMotion
     covariance : (8, 8) float64
         With the prior: mounting (right perturbation, lidar axes), offset [s], drift [s/s].
     change_by_calibration : (8, 6), (8, 2) float64
         Takes such perturbations to changes from the prior, with imu axes.
     tilt_covariance : (2, 2) float64
-        Of gravity's direction [rad^2].
+        Covariance of gravity's direction [rad^2].
     bias_covariance : (6, 6) float64
-        Of the first state's biases.
+        Covariance of the first state's biases.
     poses : LidarPoses
         Those given, with covariances of the size that the residuals show.
     size : (6,) float64
@@ -65,7 +65,7 @@ class Estimate:
     solution : Solution
     """
 
-    beliefs: Beliefs
+    state: CalibrationState
     motion: CalibrationMotion
     covariance: Array
     change_by_calibration: tuple[Array, Array]
@@ -83,7 +83,7 @@ def estimate(
     *,
     noise: ImuNoise,
     config: ImuConfig,
-    start: Beliefs,
+    start: CalibrationState,
     motion: CalibrationMotion,
     prior: RigPrior,
     rounds: int = 2,
@@ -97,9 +97,9 @@ def estimate(
     imu : ImuBatch
         Samples around them.
     noise : ImuNoise
-        Of the IMU.
+        The IMU's noise.
     config : ImuConfig
-    start : Beliefs
+    start : CalibrationState
         The inertial samples are cut where its clock puts the poses; what the clock changes is a variable.
     motion : CalibrationMotion
         A guess at the same instants.
@@ -117,7 +117,7 @@ def estimate(
     given, size = poses.covariance, np.ones(6)
     for _ in range(rounds):
         graph = _graph(poses, imu, inertial, config, start, motion, prior)
-        found = _solved(graph, values)
+        found = _solve_graph(graph, values)
         values = found.values
         residual = _residual(poses, imu, start, motion, values)
         size = size * _size(poses, residual, _with_calibration_held(graph, values, len(poses)), values)
@@ -125,7 +125,7 @@ def estimate(
     joint = Marginals(graph, values).joint([_MOUNTING, _CLOCK, _GRAVITY, _BIASES])
     L = np.linalg.cholesky(poses.covariance)
     return Estimate(
-        beliefs=_read(values, start),
+        state=_read(values, start),
         motion=_read_motion(values, motion),
         covariance=joint[:8, :8],
         change_by_calibration=_change_by_calibration(values, prior),
@@ -138,7 +138,7 @@ def estimate(
     )
 
 
-def _solved(graph: FactorGraph, values: Values) -> Solution:
+def _solve_graph(graph: FactorGraph, values: Values) -> Solution:
     found = solve(graph, values, initial="given")
     if found.status in ("diverged", "indefinite"):
         raise CalibrationError(
@@ -158,12 +158,12 @@ def _with_calibration_held(graph: FactorGraph, values: Values, count: int) -> Ar
     return Marginals(held, values).covariance(np.arange(count))
 
 
-def guess_motion(poses: LidarPoses, beliefs: Beliefs, bias: Array) -> CalibrationMotion:
+def guess_motion(poses: LidarPoses, state: CalibrationState, bias: Array) -> CalibrationMotion:
     """Return the IMU's states as the LiDAR's poses and the mounting have them, velocities by differences."""
-    T = poses.T_odom_lidar @ se3.inverse(beliefs.T_imu_lidar)
+    T = poses.T_odom_lidar @ se3.inverse(state.T_imu_lidar)
     v = np.gradient(T[:, :3, 3], (poses.stamps_ns - poses.stamps_ns[0]) * 1e-9, axis=0)
     return CalibrationMotion(
-        stamps_ns=beliefs.clock.imu_time(poses.stamps_ns),
+        stamps_ns=state.clock.imu_time(poses.stamps_ns),
         X_odom_imu=se23.from_rotation_position_velocity(T[:, :3, :3], T[:, :3, 3], v),
         bias=np.tile(bias, (len(T), 1)),
     )
@@ -183,12 +183,12 @@ def _mean_rates(imu: ImuBatch, at_ns: NDArray[np.int64]) -> Array:
     """
     steps = np.diff(imu.stamps_ns)[:, None] * 1e-9
     turned = np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * (imu.gyro[1:] + imu.gyro[:-1]) * steps, axis=0)])
-    begin = np.maximum(at_ns - _ABOUT_NS, imu.stamps_ns[0])
-    end = np.minimum(at_ns + _ABOUT_NS, imu.stamps_ns[-1])
+    begin = np.maximum(at_ns - _RATE_WINDOW_NS, imu.stamps_ns[0])
+    end = np.minimum(at_ns + _RATE_WINDOW_NS, imu.stamps_ns[-1])
     return np.asarray((sampled_at(imu, end, turned) - sampled_at(imu, begin, turned)) / ((end - begin)[:, None] * 1e-9))
 
 
-def _values(start: Beliefs, motion: CalibrationMotion) -> Values:
+def _values(start: CalibrationState, motion: CalibrationMotion) -> Values:
     values, keys = Values(), np.arange(len(motion))
     values.insert(keys, ExtendedPose(motion.X_odom_imu))
     values.insert(_BIASES + keys, motion.bias)
@@ -199,7 +199,7 @@ def _values(start: Beliefs, motion: CalibrationMotion) -> Values:
 
 
 def _inertial(
-    imu: ImuBatch, noise: ImuNoise, config: ImuConfig, start: Beliefs, motion: CalibrationMotion
+    imu: ImuBatch, noise: ImuNoise, config: ImuConfig, start: CalibrationState, motion: CalibrationMotion
 ) -> CombinedImu:
     """Return the factors of the inertial samples between the states."""
     at, keys = motion.stamps_ns, np.arange(len(motion))
@@ -223,7 +223,7 @@ def _inertial(
         _BIASES + keys[1:],
         motions,
         gravity=gravity,
-        keep_samples=False,  # the rounds integrate anew at the biases found
+        keep_samples=False,  # each round integrates again, at the biases found
     )
 
 
@@ -232,7 +232,7 @@ def _graph(
     imu: ImuBatch,
     inertial: CombinedImu,
     config: ImuConfig,
-    start: Beliefs,
+    start: CalibrationState,
     motion: CalibrationMotion,
     prior: RigPrior,
 ) -> FactorGraph:
@@ -243,11 +243,11 @@ def _graph(
             (keys, np.full(count, _MOUNTING), np.full(count, _CLOCK)),
             data=_pose_data(poses, imu, start, motion),
             noise=Covariance(poses.covariance),
-            kernel=Huber(_KERNEL),
+            kernel=Huber(_POSE_KERNEL),
         )
     )
     # So vague that they tell nothing; with them it shows without an analysis that the graph determines every variable.
-    vague = Isotropic(_VAGUE)
+    vague = Isotropic(_VAGUE_SIGMA)
     graph.add(Prior(keys, ExtendedPose(motion.X_odom_imu), vague))
     graph.add(Prior(_BIASES + keys, motion.bias, vague))
     graph.add(Prior(_GRAVITY, S2(start.g_odom), vague))
@@ -262,7 +262,7 @@ def _graph(
 
 
 def _pose_data(
-    poses: LidarPoses, imu: ImuBatch, start: Beliefs, motion: CalibrationMotion
+    poses: LidarPoses, imu: ImuBatch, start: CalibrationState, motion: CalibrationMotion
 ) -> tuple[Array, Array, Array]:
     """Return what the factor of the LiDAR's poses is made of: poses, body rates, seconds since the reference."""
     omega = _mean_rates(imu, motion.stamps_ns) - motion.bias[:, :3]
@@ -270,7 +270,9 @@ def _pose_data(
     return poses.T_odom_lidar, omega, span
 
 
-def _residual(poses: LidarPoses, imu: ImuBatch, start: Beliefs, motion: CalibrationMotion, values: Values) -> Array:
+def _residual(
+    poses: LidarPoses, imu: ImuBatch, start: CalibrationState, motion: CalibrationMotion, values: Values
+) -> Array:
     count = len(poses)
     E = np.tile(values.at(_MOUNTING).matrix, (count, 1, 1))
     clock = np.tile(values.at(_CLOCK), (count, 1))
@@ -293,11 +295,11 @@ def _size(poses: LidarPoses, residual: Array, X_covariance: Array, values: Value
     expected = np.diagonal(poses.covariance, axis1=1, axis2=2)
     square = np.einsum("ni,ni->n", residual, np.linalg.solve(poses.covariance, residual[:, :, None])[:, :, 0])
     # Judged against the median, which a few wrong ones do not move: 5.35 is that of 6 squared standard normals.
-    good = square <= _KERNEL**2 * float(np.median(square)) / 5.348
+    good = square <= _POSE_KERNEL**2 * float(np.median(square)) / 5.348
     expected, left = expected[good], np.maximum(expected - taken, 0.05 * expected)[good]
     freedom = np.maximum((left / expected).sum(axis=0), 3.0)
     square_size = (residual[good] ** 2).sum(axis=0) / left.sum(axis=0) * freedom / (freedom - 2.0)
-    return np.asarray(np.sqrt(np.clip(square_size, *_SIZES)))
+    return np.asarray(np.sqrt(np.clip(square_size, *_NOISE_SCALE_LIMITS)))
 
 
 def _change_by_calibration(values: Values, prior: RigPrior) -> tuple[Array, Array]:
@@ -306,10 +308,10 @@ def _change_by_calibration(values: Values, prior: RigPrior) -> tuple[Array, Arra
     return by_mounting[0], by_clock[0]
 
 
-def _read(values: Values, start: Beliefs) -> Beliefs:
+def _read(values: Values, start: CalibrationState) -> CalibrationState:
     offset, drift = values.at(_CLOCK)
     clock = replace(start.clock, offset=start.clock.offset + float(offset), drift=start.clock.drift + float(drift))
-    return Beliefs(
+    return CalibrationState(
         T_imu_lidar=values.at(_MOUNTING).matrix,
         clock=clock,
         g_odom=float(np.linalg.norm(start.g_odom)) * values.at(_GRAVITY).vector,

@@ -14,10 +14,10 @@ __all__ = ["Coarse", "align_turns"]
 
 Array = NDArray[np.float64]
 
-_WINDOW = 3  # scans over which turns are compared
+_WINDOW_SCANS = 3  # scans over which turns are compared
 _TURN_SIGMA = 0.01  # of one comparison: the LiDAR's odometry without de-skewing by an IMU [rad]
-_STEP = 0.004  # of the search over offsets [s]
-_ROUNDS = 4
+_OFFSET_STEP_S = 0.004  # of the search over offsets [s]
+_SEARCH_ROUNDS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +32,7 @@ class Coarse:
     gyro_bias : (3,) float64
         [rad/s].
     rms : float
-        Of the turns' differences [rad].
+        Root mean square of the turns' differences [rad].
     """
 
     offset: float
@@ -69,9 +69,9 @@ def align_turns(
     search, sigma_offset : float
         Offsets looked at on either side, and one-sigma of what is expected [s].
     """
-    window = min(_WINDOW, len(ends_ns) - 1)
+    window = min(_WINDOW_SCANS, len(ends_ns) - 1)
     turns = so3.log(np.swapaxes(R_odom_lidar[:-window], -1, -2) @ R_odom_lidar[window:])
-    stamps, R_gyro = _integrated(imu)
+    stamps, R_gyro = _integrate_gyro(imu)
     prior = R_prior / (2.0 * sigma_rotation**2)  # (1/2s^2) tr(R_prior^T R): the log of a narrow density about R_prior
 
     def cost(offset: float) -> tuple[float, Coarse]:
@@ -80,8 +80,8 @@ def align_turns(
         return found.rms**2 / _TURN_SIGMA**2 * (len(turns) / window) + (offset / sigma_offset) ** 2, found
 
     centre, width = 0.0, search
-    step = min(_STEP, search)
-    for _ in range(_ROUNDS):
+    step = min(_OFFSET_STEP_S, search)
+    for _ in range(_SEARCH_ROUNDS):
         grid = centre + np.arange(-width, width + 0.5 * step, step)
         centre = float(grid[int(np.argmin([cost(float(o))[0] for o in grid]))])
         width, step = step, step / 4.0
@@ -92,14 +92,14 @@ def _rotation(turns: Array, gyro: Array, spans: Array, prior: Array, offset: flo
     bias, R = np.zeros(3), np.eye(3)
     for _ in range(6):
         free = gyro - spans[:, None] * bias
-        U, _, Vt = np.linalg.svd(free.T @ turns / (_WINDOW * _TURN_SIGMA**2) + prior)
+        U, _, Vt = np.linalg.svd(free.T @ turns / (_WINDOW_SCANS * _TURN_SIGMA**2) + prior)
         R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
         bias = ((gyro - turns @ R.T) * spans[:, None]).sum(axis=0) / (spans**2).sum()
     residual = gyro - spans[:, None] * bias - turns @ R.T
     return Coarse(offset=offset, R_imu_lidar=R, gyro_bias=bias, rms=float(np.sqrt(np.mean(residual**2))))
 
 
-def _integrated(imu: ImuBatch) -> tuple[NDArray[np.int64], Array]:
+def _integrate_gyro(imu: ImuBatch) -> tuple[NDArray[np.int64], Array]:
     """Return the gyroscope's own orientation at its samples, from an arbitrary first one."""
     rate = 0.5 * (imu.gyro[1:] + imu.gyro[:-1])
     R = so3.exp(rate * (np.diff(imu.stamps_ns) * 1e-9)[:, None])

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.calibration.batch import Estimate, sampled_at
-from heliograph.calibration.beliefs import Beliefs, LidarPoses, RigPrior
 from heliograph.calibration.coarse import align_turns
 from heliograph.calibration.gather import Evidence, Message, gather, refined
 from heliograph.calibration.observability import (
@@ -20,7 +19,8 @@ from heliograph.calibration.observability import (
     prior_sigmas,
 )
 from heliograph.calibration.placing import Placer, lidar_path
-from heliograph.calibration.rounds import CalibrationRounds, change_from, settle
+from heliograph.calibration.rounds import CalibrationRounds, change_from, run_rounds
+from heliograph.calibration.states import CalibrationState, LidarPoses, RigPrior
 from heliograph.config import ImuConfig, RunConfig
 from heliograph.data import ImuBatch, ImuClock, ImuNoise, Rig
 from heliograph.errors import DataError
@@ -32,8 +32,8 @@ __all__ = ["AxisExcitation", "Calibration", "calibrate"]
 
 Array = NDArray[np.float64]
 
-_ROUGH = (0.02, 0.03)  # one-sigma of the LiDAR's own odometry to begin with [rad], [m]; its size is found
-_REST_NS, _FEWEST_AT_REST = 1_000_000_000, 20
+_ODOMETRY_SIGMA = (0.02, 0.03)  # one-sigma of the LiDAR's own odometry to begin with [rad], [m]; its size is found
+_REST_WINDOW_NS, _MIN_REST_SAMPLES = 1_000_000_000, 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,7 +47,7 @@ class AxisExcitation:
     rate, acceleration : float
         Root mean square of the body rate about it [rad/s] and of the acceleration along it, gravity taken off [m/s^2].
     rotation_gain, lever_gain : float
-        How many times less the prior's sigma became.
+        The prior's sigma over the sigma that the data left.
     """
 
     axis: str
@@ -79,12 +79,12 @@ class Calibration:
     gyro_bias, accel_bias, bias_sigma : (3,), (3,), (6,) float64
         At the first scan used [rad/s], [m/s^2].
     noise : ImuNoise
-        Of the IMU, as used.
+        The IMU's noise, as used.
     duration : float
         Data used [s].
     scans, passes : int
         Scans used; rounds of placing and solving.
-    settled : bool
+    converged : bool
         Whether the last round changed nothing that matters.
     residual_rotation, residual_position : float
         Noise of one scan's pose, as the residuals show it: root mean square an axis [rad], [m].
@@ -105,13 +105,13 @@ class Calibration:
     duration: float
     scans: int
     passes: int
-    settled: bool
+    converged: bool
     residual_rotation: float
     residual_position: float
 
     @property
     def covariance(self) -> Array:
-        """Of rotation about and lever arm along imu axes, offset and drift, (8, 8) in SI units."""
+        """Covariance of rotation about and lever arm along imu axes, offset and drift, (8, 8) in SI units."""
         return self.observed.covariance
 
 
@@ -122,18 +122,18 @@ def calibrate(
 
     The LiDAR alone gives a first path and, against the gyroscope, a first rotation and clock offset. Then rounds: one
     graph of all scans' poses and all inertial samples is solved for motion, mounting, clock, gravity and biases; with
-    that every scan is de-skewed and placed anew. Directions that the motion did not excite keep their prior.
+    that every scan is de-skewed and placed again. Directions that the motion did not excite keep their prior.
 
     Parameters
     ----------
     stream : iterable of Scan and ImuBatch
         The messages of a recording; read once.
     rig : Rig
-        What is believed beforehand; its mounting to the sigmas of ``config.calibration``, or to its own where it is
+        The prior; its mounting to the sigmas of ``config.calibration``, or to its own where it is
         not known at all. The samples come with the rig's own clock applied; what is found is on top of it.
     config : RunConfig
     noise : ImuNoise, optional
-        Of the IMU; found from a rest in the recording, or else assumed, where not given.
+        The IMU's noise; found from a rest in the recording, or else assumed, where not given.
     threads : int
 
     Raises
@@ -153,7 +153,7 @@ def calibrate(
 
 
 def _for_rig(config: RunConfig, rig: Rig) -> RunConfig:
-    """Widen the prior where nothing tells the mounting."""
+    """Widen the prior where the mounting is unknown."""
     if rig.known:
         return config
     widened = replace(
@@ -175,7 +175,7 @@ class _Run:
 
     def prior(self, rig: Rig) -> RigPrior:
         ends = self.evidence.ends_ns
-        middle_ns = int(ends[0] + (ends[-1] - ends[0]) // 2)  # where offset and drift are told independently
+        middle_ns = int(ends[0] + (ends[-1] - ends[0]) // 2)  # where offset and drift are uncorrelated
         sigmas = prior_sigmas(self.config.calibration)
         return RigPrior(
             T_imu_lidar=rig.T_imu_lidar,
@@ -183,8 +183,8 @@ class _Run:
             information=np.diag(sigmas**-2.0),
         )
 
-    def first(self, prior: RigPrior) -> tuple[Beliefs, LidarPoses, Array]:
-        """Return beliefs, poses of the LiDAR and the gyroscope's bias to begin with."""
+    def first(self, prior: RigPrior) -> tuple[CalibrationState, LidarPoses, Array]:
+        """Return the calibration, poses of the LiDAR and the gyroscope's bias to begin with."""
         calibration, evidence = self.config.calibration, self.evidence
         coarse = align_turns(
             evidence.ends_ns,
@@ -197,11 +197,11 @@ class _Run:
         )
         T = se3.from_rotation_translation(coarse.R_imu_lidar, prior.T_imu_lidar[:3, 3])
         clock = replace(prior.clock, offset=coarse.offset)
-        poses = self._covered(
+        poses = self._keep_covered(
             LidarPoses(
                 stamps_ns=evidence.ends_ns,
                 T_odom_lidar=evidence.T_odom_lidar,
-                covariance=np.tile(np.diag(np.repeat(_ROUGH, 3) ** 2), (len(evidence.scans), 1, 1)),
+                covariance=np.tile(np.diag(np.repeat(_ODOMETRY_SIGMA, 3) ** 2), (len(evidence.scans), 1, 1)),
             ),
             clock,
         )
@@ -209,10 +209,10 @@ class _Run:
         R_odom_imu = poses.T_odom_lidar[:, :3, :3] @ coarse.R_imu_lidar.T
         up = np.einsum("nij,nj->i", R_odom_imu, force)
         g_odom = -self.config.imu.gravity * up / np.linalg.norm(up)
-        beliefs = Beliefs(T_imu_lidar=T, clock=clock, g_odom=g_odom)
-        return beliefs, poses, np.concatenate([coarse.gyro_bias, np.zeros(3)])
+        state = CalibrationState(T_imu_lidar=T, clock=clock, g_odom=g_odom)
+        return state, poses, np.concatenate([coarse.gyro_bias, np.zeros(3)])
 
-    def _covered(self, poses: LidarPoses, clock: ImuClock) -> LidarPoses:
+    def _keep_covered(self, poses: LidarPoses, clock: ImuClock) -> LidarPoses:
         """Return the poses that lie within the inertial samples."""
         at, stamps = clock.imu_time(poses.stamps_ns), self.evidence.imu.stamps_ns
         inside = (at >= stamps[0]) & (at <= stamps[-1])
@@ -232,18 +232,18 @@ class _Run:
         placer = Placer(self.evidence.scans, self.config, threads=self.threads)
 
         def place(found: Estimate) -> LidarPoses:
-            path = lidar_path(found.motion, found.beliefs, self.evidence.imu, self.noise, self.config.imu)
+            path = lidar_path(found.motion, found.state, self.evidence.imu, self.noise, self.config.imu)
             return placer.place(path)
 
-        beliefs, poses, bias = self.first(prior)
-        return settle(
-            poses, place, self.evidence.imu, noise=self.noise, config=self.config, prior=prior, start=beliefs, bias=bias
+        state, poses, bias = self.first(prior)
+        return run_rounds(
+            poses, place, self.evidence.imu, noise=self.noise, config=self.config, prior=prior, start=state, bias=bias
         )
 
     def conclude(self, rig: Rig, prior: RigPrior, rounds: CalibrationRounds) -> Calibration:
         """Put the prior back along what was not excited, and give an account."""
         found, config = rounds.estimate, self.config.calibration
-        change = rounds.observed.told(change_from(prior, found.beliefs))
+        change = rounds.observed.observed_part(change_from(prior, found.state))
         T = prior.T_imu_lidar.copy()
         T[:3, :3] = so3.exp(change[:3]) @ T[:3, :3]
         T[:3, 3] += change[3:6]
@@ -261,7 +261,7 @@ class _Run:
             observed=observed,
             kept=kept_in_words(observed, prior_sigmas(config)),
             excitation=self._excitation(found, axes),
-            g_odom=found.beliefs.g_odom,
+            g_odom=found.state.g_odom,
             tilt_sigma=float(np.sqrt(np.linalg.eigvalsh(found.tilt_covariance)[-1])),
             gyro_bias=found.motion.bias[0, :3].copy(),
             accel_bias=found.motion.bias[0, 3:].copy(),
@@ -270,7 +270,7 @@ class _Run:
             duration=self.evidence.duration,
             scans=len(found.poses),
             passes=rounds.passes,
-            settled=rounds.settled,
+            converged=rounds.converged,
             residual_rotation=float(np.sqrt(np.mean(noise[:3] ** 2))),
             residual_position=float(np.sqrt(np.mean(noise[3:] ** 2))),
         )
@@ -279,7 +279,7 @@ class _Run:
         imu, motion = self.evidence.imu, found.motion
         rate = sampled_at(imu, motion.stamps_ns, imu.gyro) - motion.bias[:, :3]
         force = sampled_at(imu, motion.stamps_ns, imu.accel) - motion.bias[:, 3:]
-        acceleration = force + np.einsum("nji,j->ni", motion.X_odom_imu[:, :3, :3], found.beliefs.g_odom)
+        acceleration = force + np.einsum("nji,j->ni", motion.X_odom_imu[:, :3, :3], found.state.g_odom)
         return tuple(
             AxisExcitation(
                 axis="xyz"[k],
@@ -295,9 +295,9 @@ class _Run:
 def measured_noise(imu: ImuBatch, config: ImuConfig) -> ImuNoise:
     """Return the noise of an IMU from the seconds at rest in a recording, or of one never at rest."""
     rests = []
-    for start in range(int(imu.stamps_ns[0]), int(imu.stamps_ns[-1]) - _REST_NS + 1, _REST_NS // 2):
-        first, last = np.searchsorted(imu.stamps_ns, [start, start + _REST_NS]).tolist()
-        if last - first >= _FEWEST_AT_REST:
+    for start in range(int(imu.stamps_ns[0]), int(imu.stamps_ns[-1]) - _REST_WINDOW_NS + 1, _REST_WINDOW_NS // 2):
+        first, last = np.searchsorted(imu.stamps_ns, [start, start + _REST_WINDOW_NS]).tolist()
+        if last - first >= _MIN_REST_SAMPLES:
             rest = assess_stillness(
                 replace(
                     imu,

@@ -21,10 +21,10 @@ __all__ = ["NoiseCalibration", "RestNoise", "SensorNoise", "calibrate_noise", "n
 Array = NDArray[np.float64]
 
 _SENSORS = ("gyro", "accel")
-_MOVING_SHARE = 0.8  # with less of the record at rest, what vibration adds in motion is measured too
-_FILLED_SHARE = 0.05  # of interpolated samples that are not worth a warning
-_MISFIT = 0.2  # of an octave's power that is worth a remark
-_LOUD = 1.5  # vibration this much above the floor is worth a remark
+_MIN_REST_SHARE = 0.8  # with less of the record at rest, what vibration adds in motion is measured too
+_MAX_FILLED_SHARE = 0.05  # of interpolated samples that are not worth a warning
+_MAX_MISFIT = 0.2  # of an octave's power that is worth a remark
+_LOUD_FACTOR = 1.5  # vibration this much above the floor is worth a remark
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,7 +142,7 @@ def calibrate_noise(imu: ImuBatch, config: ImuConfig) -> NoiseCalibration:
     still = still_stretches(grid, config)
     events = _grid_events(grid)
     rest = noise_at_rest(still) if still.stretches else None
-    motion = white_floor(grid) if still.duration < _MOVING_SHARE * grid.duration else None
+    motion = white_floor(grid) if still.duration < _MIN_REST_SHARE * grid.duration else None
     if rest is not None:
         gyro, accel = (_from_rest(rest.channels[3 * k : 3 * k + 3], motion, slice(3 * k, 3 * k + 3)) for k in range(2))
         events += _rest_events(rest)
@@ -208,8 +208,8 @@ def _dominating(channel: ChannelNoise, curve: AllanCurve) -> list[str]:
 
 
 def _from_rest(axes: tuple[ChannelNoise, ...], motion: WhiteFloor | None, part: slice) -> SensorNoise:
-    white, white_sigma, white_upper = _pooled([axis.term("white") for axis in axes])
-    walk, walk_sigma, walk_upper = _pooled([axis.walk_of_filter for axis in axes])
+    white, white_sigma, white_upper = _pool([axis.term("white") for axis in axes])
+    walk, walk_sigma, walk_upper = _pool([axis.walk_of_filter for axis in axes])
     return SensorNoise(
         white=white,
         white_sigma=white_sigma,
@@ -227,7 +227,7 @@ def _vibrating(motion: WhiteFloor | None, axes: slice) -> float | None:
     return float(np.sqrt(np.mean(motion.loud[axes] ** 2)))
 
 
-def _pooled(terms: list[TermEstimate]) -> tuple[float | None, float | None, float]:
+def _pool(terms: list[TermEstimate]) -> tuple[float | None, float | None, float]:
     """Return root mean square, its sigma, and the largest bound; an axis that does not show the term is left out."""
     upper = max(term.upper for term in terms)
     seen = [(term.value, term.sigma) for term in terms if term.value is not None and term.sigma is not None]
@@ -255,7 +255,7 @@ def _from_motion(motion: WhiteFloor, axes: slice) -> SensorNoise:
 
 def _grid_events(grid: Grid) -> list[Event]:
     samples = sum(len(stretch) for stretch in grid.stretches)
-    if grid.filled <= _FILLED_SHARE * samples:
+    if grid.filled <= _MAX_FILLED_SHARE * samples:
         return []
     text = (
         f"{grid.filled} of {samples} IMU samples are missing here and there and were interpolated; white noise reads "
@@ -290,7 +290,7 @@ def _rest_events(rest: RestNoise) -> list[Event]:
         text = f"the spectrum bends, by the sensor's own filter or by vibration, and was left out: {', '.join(cut)}"
         events.append(Event(code="noise-bend", message=text, severity="info"))
     worst = max(range(6), key=lambda k: rest.channels[k].misfit)
-    if rest.channels[worst].misfit > _MISFIT:
+    if rest.channels[worst].misfit > _MAX_MISFIT:
         text = (
             f"{axes[worst]}: an octave of the spectrum is {100.0 * rest.channels[worst].misfit:.0f} % off the fitted "
             f"terms; something else is in it, such as a draught, footsteps or the sensor's own filter - see the plot"
@@ -310,7 +310,7 @@ def _motion_events(motion: WhiteFloor, *, alone: bool) -> list[Event]:
             )
             events.append(Event(code="noise-no-floor", message=text))
         ratio = float(np.sqrt(np.mean(motion.loud[axes] ** 2) / max(float(np.mean(motion.density[axes] ** 2)), 1e-300)))
-        if ratio > _LOUD and motion.flat[axes].all():
+        if ratio > _LOUD_FACTOR and motion.flat[axes].all():
             text = (
                 f"{sensor}: over the whole recording vibration raises the noise {ratio:.1f} times; the configuration "
                 f"gets that level, {_vibrating(motion, axes):.2g} - damp the mounting"

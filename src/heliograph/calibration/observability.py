@@ -1,4 +1,4 @@
-"""What the motion told of the mounting and the clock, direction by direction, and in words."""
+"""What the motion shows of the mounting and the clock, direction by direction, and in words."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _REMEDIES = {
     "clock offset": "turn faster, and back and forth",
     "clock drift": "record for longer, with turns at both ends",
 }
-_MOSTLY = 0.5  # share of a variance beyond which one part of it is named as its cause
+_CAUSE_SHARE = 0.5  # share of a variance beyond which one part of it is named as its cause
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ class Observed:
     gains : (8,) float64
         How many times better than the prior the data tell each.
     kept : (8,) bool
-        Which are not told well enough and keep the prior.
+        Which are not observed well enough and keep the prior.
     """
 
     directions: Array
@@ -78,10 +78,10 @@ class Observed:
         half = self.directions[:, self.kept]
         return np.asarray(half @ half.T)
 
-    def told(self, difference: Array) -> Array:
-        """Return the part (8,) of a difference between two calibrations that lies along what the data told."""
-        seen = self.directions[:, ~self.kept]
-        return np.asarray(seen @ (np.linalg.pinv(self.directions)[~self.kept] @ difference))
+    def observed_part(self, difference: Array) -> Array:
+        """Return the part (8,) of a difference between two calibrations that lies along what was observed."""
+        observed = self.directions[:, ~self.kept]
+        return np.asarray(observed @ (np.linalg.pinv(self.directions)[~self.kept] @ difference))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,7 +95,7 @@ class CalibratedAxis:
     value, sigma, prior_sigma : float
         In SI units; the value of a rotation is the change from the prior.
     verdict : str
-        ``"observed"``: known as well as is useful; ``"weak"``: told by the data, but not as well; ``"partly"``: its
+        ``"observed"``: known as well as is useful; ``"weak"``: observed, but not as well; ``"partly"``: its
         larger part lies along a direction that was not excited; ``"not excited"``: the prior was kept.
     remedy : str
         What motion would tell it; empty where observed.
@@ -110,7 +110,7 @@ class CalibratedAxis:
 
 
 def prior_sigmas(config: CalibrationConfig) -> Array:
-    """Return one-sigma of what is believed beforehand, (8,) in SI units."""
+    """Return one-sigma of the prior, (8,) in SI units."""
     rotation, drift = np.radians(config.prior_rotation_deg), 1e-6 * config.prior_drift_ppm
     return np.array([rotation] * 3 + [config.prior_lever] * 3 + [config.prior_offset, drift])
 
@@ -131,7 +131,7 @@ def analyse(covariance: Array, prior: Array, gain: float) -> Observed:
     prior : (8,) float64
         One-sigma of the independent prior on each axis.
     gain : float
-        A direction that the data tell less than so many times better keeps the prior.
+        A direction whose sigma the data lower by less than this factor keeps the prior.
     """
     # In units of the prior its information is the identity, and the data's is the rest of the posterior's.
     scaled = covariance / np.outer(prior, prior)
@@ -149,10 +149,10 @@ def judge_axes(observed: Observed, values: Array, config: CalibrationConfig) -> 
         sigma = float(np.sqrt(variance[k]))
         if sigma <= useful[k]:
             verdict = "observed"
-        elif kept[k] > _MOSTLY * prior[k] ** 2:
+        elif kept[k] > _CAUSE_SHARE * prior[k] ** 2:
             verdict = "not excited"
         else:
-            verdict = "partly" if kept[k] > _MOSTLY * variance[k] else "weak"
+            verdict = "partly" if kept[k] > _CAUSE_SHARE * variance[k] else "weak"
         kind = name.rsplit(" ", 1)[0] if k < 6 else name
         axes.append(
             CalibratedAxis(
@@ -172,14 +172,14 @@ def kept_in_words(observed: Observed, prior: Array) -> tuple[str, ...]:
     lines = []
     scaled = observed.directions[:, observed.kept] / prior[:, None]
     for name, part in _KINDS:
-        # The directions kept span a space; what of it lies in this triple is told by its own principal axes.
+        # The directions kept span a space; what of it lies in this triple shows in its own principal axes.
         U, s, _ = np.linalg.svd(scaled[part])
-        for k in np.flatnonzero(s[: len(U)] > np.sqrt(_MOSTLY)):
+        for k in np.flatnonzero(s[: len(U)] > np.sqrt(_CAUSE_SHARE)):
             v = U[:, k] * np.sign(U[np.argmax(np.abs(U[:, k])), k])
             axis = ", ".join(f"{x:+.2f}" for x in v)
             lines.append(f"{name} ({axis}): not excited, kept at its prior; {_REMEDIES[name]}")
     for row, name in zip(scaled[6:], AXES[6:], strict=True):
-        if float((row**2).sum()) > _MOSTLY:
+        if float((row**2).sum()) > _CAUSE_SHARE:
             lines.append(f"{name}: not excited, kept at its prior; {_REMEDIES[name]}")
     return tuple(lines)
 

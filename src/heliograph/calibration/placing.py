@@ -1,4 +1,4 @@
-"""Placing each scan anew in a map of all of them; the IMU only says how the sensor moved within the scan."""
+"""Placing each scan again in a map of all of them; the IMU only says how the sensor moved within the scan."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.calibration.beliefs import Beliefs, CalibrationMotion, LidarPoses
 from heliograph.calibration.plane_map import PlaneMap, turn_against
+from heliograph.calibration.states import CalibrationMotion, CalibrationState, LidarPoses
 from heliograph.cloud import deskew, range_gate, voxel_downsample
 from heliograph.config import ImuConfig, RunConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState, Scan
@@ -25,10 +25,9 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Points = NDArray[np.float32]
 
-_SIGMA, _KERNEL, _GATE = 0.02, 0.06, 0.15  # across planes [m]; the size of the noise is found from the poses afterwards
-_STEPS, _SETTLED_ROTATION, _SETTLED_POSITION = 8, 5e-6, 2e-5
-_LOOSE = 1e-3  # information that keeps a direction which no plane holds where it was [1/rad^2], [1/m^2]
-_SETS, _FEWEST = 3, 100  # of cubes; matches with one
+_MAX_STEPS, _ROTATION_TOLERANCE, _POSITION_TOLERANCE = 8, 5e-6, 2e-5
+_WEAK_INFORMATION = 1e-3  # information that keeps a direction which no plane holds where it was [1/rad^2], [1/m^2]
+_CUBE_SETS, _MIN_MATCHES = 3, 100  # of cubes; matches with one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,13 +56,13 @@ class LidarPath:
 
 
 def lidar_path(
-    motion: CalibrationMotion, beliefs: Beliefs, imu: ImuBatch, noise: ImuNoise, config: ImuConfig
+    motion: CalibrationMotion, state: CalibrationState, imu: ImuBatch, noise: ImuNoise, config: ImuConfig
 ) -> LidarPath:
     """Fill in the motion between the states of a solution with the inertial samples."""
     stamps: list[Stamps] = []
     poses: list[Array] = []
     for k in range(len(motion) - 1):
-        begin, end = _state(motion, k, beliefs), _state(motion, k + 1, beliefs)
+        begin, end = _state(motion, k, state), _state(motion, k + 1, state)
         first = max(int(np.searchsorted(imu.stamps_ns, begin.stamp_ns, side="right")) - 1, 0)
         last = int(np.searchsorted(imu.stamps_ns, end.stamp_ns, side="left")) + 1
         part = replace(imu, stamps_ns=imu.stamps_ns[first:last], gyro=imu.gyro[first:last], accel=imu.accel[first:last])
@@ -72,12 +71,12 @@ def lidar_path(
         stamps.append(path.stamps_ns[:-1])
         poses.append(se3.from_rotation_translation(path.R_odom_imu[:-1], path.p_odom[:-1]))
     return LidarPath(
-        stamps_ns=beliefs.clock.lidar_time(np.concatenate(stamps)),
-        T_odom_lidar=np.concatenate(poses) @ beliefs.T_imu_lidar,
+        stamps_ns=state.clock.lidar_time(np.concatenate(stamps)),
+        T_odom_lidar=np.concatenate(poses) @ state.T_imu_lidar,
     )
 
 
-def _state(motion: CalibrationMotion, k: int, beliefs: Beliefs) -> NavState:
+def _state(motion: CalibrationMotion, k: int, state: CalibrationState) -> NavState:
     X, bias = motion.X_odom_imu[k], motion.bias[k]
     return NavState(
         stamp_ns=int(motion.stamps_ns[k]),
@@ -86,8 +85,8 @@ def _state(motion: CalibrationMotion, k: int, beliefs: Beliefs) -> NavState:
         v_odom=X[:3, 4].copy(),
         gyro_bias=bias[:3].copy(),
         accel_bias=bias[3:].copy(),
-        g_odom=beliefs.g_odom,
-        T_imu_lidar=beliefs.T_imu_lidar,
+        g_odom=state.g_odom,
+        T_imu_lidar=state.T_imu_lidar,
         covariance=np.zeros((17, 17)),
     )
 
@@ -104,8 +103,8 @@ class _Swept:
 class Placer:
     """Places scans against the map of all of them.
 
-    The points to match with are picked the first time and kept, and which of them lie on settled planes from the second
-    time on, where the map is no longer the odometry's own; so rounds differ only by what was learnt.
+    The points to match with are picked the first time and kept, and which of them lie on planes of both sizes from the
+    second time on, where the map is no longer the odometry's own; so rounds differ only by what was learnt.
 
     Parameters
     ----------
@@ -132,8 +131,8 @@ class Placer:
             Too few of them match the map.
         """
         inside = [k for k, scan in enumerate(self._scans) if _covers(path, scan)]
-        swept = [self._deskewed(self._scans[k], path) for k in inside]
-        swept, local_map = self._mapped(swept)
+        swept = [self._deskew(self._scans[k], path) for k in inside]
+        swept, local_map = self._build_map(swept)
         found = [
             self._register(scan, self._chosen(k, scan, local_map), local_map)
             for k, scan in zip(inside, swept, strict=True)
@@ -151,24 +150,25 @@ class Placer:
             covariance=np.stack([covariance for _, _, covariance in good]),
         )
 
-    def _mapped(self, swept: Sequence[_Swept]) -> tuple[list[_Swept], PlaneMap]:
+    def _build_map(self, swept: Sequence[_Swept]) -> tuple[list[_Swept], PlaneMap]:
         """Return the scans with their noise across the surfaces, and the map of them.
 
         Its cubes are turned against the walls that the first one finds.
         """
         if self._R_cubes_odom is None:
-            self._R_cubes_odom = turn_against(*self._map_turned(swept, np.eye(3)[None]).normals(), _SETS)
-        rough = self._map_turned(swept, self._R_cubes_odom[:1])
-        swept = [replace(scan, points=rough.across_planes(scan.points, scan.T_odom_lidar, _GATE)) for scan in swept]
-        return swept, self._map_turned(swept, self._R_cubes_odom)
+            self._R_cubes_odom = turn_against(*self._insert_all(swept, np.eye(3)[None]).normals(), _CUBE_SETS)
+        rough = self._insert_all(swept, self._R_cubes_odom[:1])
+        gate = self._config.calibration.plane_gate
+        swept = [replace(scan, points=rough.across_planes(scan.points, scan.T_odom_lidar, gate)) for scan in swept]
+        return swept, self._insert_all(swept, self._R_cubes_odom)
 
-    def _map_turned(self, swept: Sequence[_Swept], R_cubes_odom: Array) -> PlaneMap:
+    def _insert_all(self, swept: Sequence[_Swept], R_cubes_odom: Array) -> PlaneMap:
         local_map = PlaneMap(self._config.map, R_cubes_odom)
         for scan in swept:
             local_map.insert(scan.points, scan.T_odom_lidar)
         return local_map
 
-    def _deskewed(self, scan: Scan, path: LidarPath) -> _Swept:
+    def _deskew(self, scan: Scan, path: LidarPath) -> _Swept:
         middle_ns = scan.stamp_ns + int(np.rint(scan.offsets_ns.mean()))
         stamps, T, k = path.around(scan.stamp_ns, middle_ns, scan.end_ns)
         points = deskew(
@@ -200,25 +200,34 @@ class Placer:
     def _chosen(self, k: int, scan: _Swept, local_map: PlaneMap) -> list[Points]:
         """Return the points to place a scan with for each set of cubes, the same ones from the second time on."""
         points = self._pick(k, scan)
-        masks = self._masks.get(k) or local_map.settled(points, scan.T_odom_lidar, _GATE)
+        masks = self._masks.get(k) or local_map.agreeing_points(
+            points, scan.T_odom_lidar, self._config.calibration.plane_gate
+        )
         if self._placed:
             self._masks[k] = masks
         return [np.ascontiguousarray(points[mask]) for mask in masks]
 
     def _register(self, scan: _Swept, chosen: Sequence[Points], local_map: PlaneMap) -> tuple[Array, Array] | None:
         """Return the pose and its covariance (right perturbation) by the planes alone, or None without enough."""
-        settings = MatchSettings(gate=_GATE, kernel=_KERNEL, sigma=_SIGMA, fallback_stride=0, threads=self._threads)
+        planes = self._config.calibration
+        settings = MatchSettings(  # the size of the noise is found from the poses afterwards
+            gate=planes.plane_gate,
+            kernel=planes.plane_kernel,
+            sigma=planes.plane_sigma,
+            fallback_stride=0,
+            threads=self._threads,
+        )
         T = scan.T_odom_lidar
-        for _ in range(_STEPS):
+        for _ in range(_MAX_STEPS):
             information, gradient, matches = local_map.linearize(chosen, T, settings)
-            if matches < _FEWEST:
+            if matches < _MIN_MATCHES:
                 return None
-            information += _LOOSE * np.eye(6)
+            information += _WEAK_INFORMATION * np.eye(6)
             step = -np.linalg.solve(information, gradient)
             T = se3.from_rotation_translation(T[:3, :3] @ so3.exp(step[:3]), T[:3, 3] + T[:3, :3] @ step[3:])
-            if np.linalg.norm(step[:3]) < _SETTLED_ROTATION and np.linalg.norm(step[3:]) < _SETTLED_POSITION:
+            if np.linalg.norm(step[:3]) < _ROTATION_TOLERANCE and np.linalg.norm(step[3:]) < _POSITION_TOLERANCE:
                 break
-        scatter = local_map.scatter(chosen, T, settings) + _LOOSE * np.eye(6)
+        scatter = local_map.scatter(chosen, T, settings) + _WEAK_INFORMATION * np.eye(6)
         inverse = np.linalg.inv(information)
         return T, np.asarray(inverse @ scatter @ inverse, dtype=np.float64)
 

@@ -19,10 +19,10 @@ Array = NDArray[np.float64]
 Points = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_AVERAGED = 1_000_000  # points a cube averages: unlike an odometry's map, this one is made of all scans at once
-_PARALLEL, _APART = 0.998, 0.008  # normals' cosine and distance [m] within which two planes are one
-_ENOUGH = 0.25  # share of a scan's matches that must lie on such planes, or all are used
-_TURNS = 64
+_MAX_AVERAGED = 1_000_000  # points a cube averages: unlike an odometry's map, this one is made of all scans at once
+_MIN_COSINE, _MAX_DISTANCE = 0.998, 0.008  # normals' cosine and distance [m] within which two planes are one
+_MIN_SHARE = 0.25  # share of a scan's matches that must lie on such planes, or all are used
+_TURN_CANDIDATES = 64
 
 
 class PlaneMap:
@@ -45,20 +45,42 @@ class PlaneMap:
     Parameters
     ----------
     config : MapConfig
+        Edge and levels of the cubes, and what their planes need; ``max_points`` is not used.
     R_cubes_odom : (K, 3, 3) float64
-        Attitudes of the sets of cubes; see `turn_against`.
+        Attitudes of the K sets of cubes against the odom frame; see `turn_against`.
+
+    Notes
+    -----
+    Points are of the lidar frame, float32 and C-contiguous; poses take them to the odom frame [m]. The map grows with
+    every scan that is inserted and forgets nothing.
     """
 
     def __init__(self, config: MapConfig, R_cubes_odom: Array) -> None:
         self._sets = tuple(_Cubes(config, R) for R in R_cubes_odom)
 
     def insert(self, points: Points, T_odom_lidar: Array) -> None:
-        """Add points (N, 3) of the lidar frame [m]."""
+        """Add a scan's points to every set of cubes.
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+            De-skewed, lidar frame [m].
+        T_odom_lidar : (4, 4) float64
+            Pose of the LiDAR at the scan's instant [m].
+        """
         for cubes in self._sets:
             cubes.insert(points, T_odom_lidar)
 
     def normals(self) -> tuple[Array, Array]:
-        """Return the normals of the first set's finest planes (M, 3), odom axes, and how many points each has (M,)."""
+        """Return the planes of the first set's finest cubes.
+
+        Returns
+        -------
+        normals : (M, 3) float64
+            Unit normals, odom axes; either sign.
+        counts : (M,) float64
+            Points in each.
+        """
         return self._sets[0].normals()
 
     def across_planes(self, points: Points, T_odom_lidar: Array, gate: float) -> Points:
@@ -71,19 +93,54 @@ class PlaneMap:
         T_odom_lidar : (4, 4) float64
         gate : float
             A point farther from its plane, along its beam, is no noise of that plane's and stays [m].
+
+        Returns
+        -------
+        (N, 3) float32
+            Lidar frame [m]; a point without a plane stays where it is.
         """
         return self._sets[0].across_planes(points, T_odom_lidar, gate)
 
-    def settled(self, points: Points, T_odom_lidar: Array, gate: float) -> tuple[Mask, ...]:
-        """Return for each set of cubes which points (N,) lie on planes of both sizes; all where those are too few."""
-        return tuple(cubes.settled(points, T_odom_lidar, gate) for cubes in self._sets)
+    def agreeing_points(self, points: Points, T_odom_lidar: Array, gate: float) -> tuple[Mask, ...]:
+        """Find the points that lie on planes which cubes of both sizes agree on.
+
+        Parameters
+        ----------
+        points : (N, 3) float32
+            Lidar frame [m].
+        T_odom_lidar : (4, 4) float64
+        gate : float
+            Largest distance of a point from its plane [m].
+
+        Returns
+        -------
+        K arrays (N,) of bool
+            One for each set of cubes; all points where fewer than a quarter of its matches lie on such planes.
+        """
+        return tuple(cubes.agreeing_points(points, T_odom_lidar, gate) for cubes in self._sets)
 
     def linearize(
         self, points: Sequence[Points], T_odom_lidar: Array, settings: MatchSettings
     ) -> tuple[Array, Array, int]:
-        """Return information (6, 6) and gradient (6,) for turns and shifts along lidar axes, and the fewest matches.
+        """Linearise the distances of a scan's points to their planes about a pose, averaged over the sets of cubes.
 
-        ``points`` are those that `settled` chose, a set of cubes each.
+        Parameters
+        ----------
+        points : K arrays (N_k, 3) float32
+            Those that `agreeing_points` chose for each set of cubes, lidar frame [m].
+        T_odom_lidar : (4, 4) float64
+            Pose to linearise at.
+        settings : MatchSettings
+            Noise, kernel and gate of the matches.
+
+        Returns
+        -------
+        information : (6, 6) float64
+            For right perturbations of the pose: turns about and shifts along the lidar axes [1/rad^2], [1/m^2].
+        gradient : (6,) float64
+            Sum of ``w / s^2 J^T r`` over the matches, in the same order.
+        matches : int
+            The fewest that a set of cubes has.
         """
         each = [cubes.linearize(some, T_odom_lidar, settings) for cubes, some in zip(self._sets, points, strict=True)]
         turns = self._turns(T_odom_lidar)
@@ -92,9 +149,19 @@ class PlaneMap:
         return information / len(each), gradient / len(each), min(e.matches for e in each)
 
     def scatter(self, points: Sequence[Points], T_odom_lidar: Array, settings: MatchSettings) -> Array:
-        """Return the covariance (6, 6) of the gradient, as the residuals of the single matches show it.
+        """Return the covariance of the gradient, as the residuals of the single matches show it.
 
         The sets of cubes look at the same points, so their gradients' errors are taken as one.
+
+        Parameters
+        ----------
+        points, T_odom_lidar, settings
+            As for `linearize`.
+
+        Returns
+        -------
+        (6, 6) float64
+            In the order of `linearize`.
         """
         each = [cubes.scatter(some, T_odom_lidar, settings) for cubes, some in zip(self._sets, points, strict=True)]
         turns = self._turns(T_odom_lidar)
@@ -111,8 +178,8 @@ class _Cubes:
     """Cubes of one attitude, in the fine map's levels and once more at twice its finest size."""
 
     def __init__(self, config: MapConfig, R_cubes_odom: Array) -> None:
-        self._fine = VoxelMap(replace(config, max_points=_AVERAGED))
-        self._coarse = VoxelMap(replace(config, max_points=_AVERAGED, voxel=2.0 * config.voxel, levels=1))
+        self._fine = VoxelMap(replace(config, max_points=_MAX_AVERAGED))
+        self._coarse = VoxelMap(replace(config, max_points=_MAX_AVERAGED, voxel=2.0 * config.voxel, levels=1))
         self.R_cubes_odom = R_cubes_odom
         self._T_cubes_odom = se3.from_rotation_translation(R_cubes_odom, np.zeros(3))
 
@@ -140,7 +207,7 @@ class _Cubes:
         across = np.where(noise, across, 0.0)
         return np.ascontiguousarray(p - along[:, None] * p + across[:, None] * normal, dtype=np.float32)
 
-    def settled(self, points: Points, T_odom_lidar: Array, gate: float) -> Mask:
+    def agreeing_points(self, points: Points, T_odom_lidar: Array, gate: float) -> Mask:
         T = self._T_cubes_odom @ T_odom_lidar
         at = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
         fine, coarse = (cubes.planes_at(at, gate=gate, neighbours=False) for cubes in (self._fine, self._coarse))
@@ -148,9 +215,9 @@ class _Cubes:
         by_fine = np.einsum("ni,ni->n", fine.normal, at - fine.point)
         by_coarse = np.sign(cosine) * np.einsum("ni,ni->n", coarse.normal, at - coarse.point)
         matched = fine.source > 0
-        both = matched & (coarse.source > 0) & (np.abs(cosine) > _PARALLEL)
-        both &= np.abs(by_fine - by_coarse) < _APART
-        few = np.count_nonzero(both) < _ENOUGH * np.count_nonzero(matched)
+        both = matched & (coarse.source > 0) & (np.abs(cosine) > _MIN_COSINE)
+        both &= np.abs(by_fine - by_coarse) < _MAX_DISTANCE
+        few = np.count_nonzero(both) < _MIN_SHARE * np.count_nonzero(matched)
         return np.ones(len(points), dtype=np.bool_) if few else np.asarray(both)
 
     def linearize(self, points: Points, T_odom_lidar: Array, settings: MatchSettings) -> NormalEquations:
@@ -175,7 +242,7 @@ def turn_against(normals: Array, weights: Array, count: int) -> Array:
     (count, 3, 3) float64
         ``R_cubes_odom``, the best of some that spread over all.
     """
-    turns = so3.exp(np.random.default_rng(0).uniform(-1.0, 1.0, (_TURNS, 3)))
+    turns = so3.exp(np.random.default_rng(0).uniform(-1.0, 1.0, (_TURN_CANDIDATES, 3)))
     along = np.abs(np.einsum("kij,mj->kmi", turns, normals)).max(axis=2)
     # A high power, for only walls within some 20 degrees of a face do harm.
     return np.asarray(turns[np.argsort((along**16) @ weights, kind="stable")[:count]])

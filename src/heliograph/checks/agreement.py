@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from heliograph.checks.arrangement import mounting_of
 from heliograph.checks.evidence import Evidence
-from heliograph.checks.offset import ALIKE, WORTH_TELLING
+from heliograph.checks.offset import MIN_CORRELATION
 from heliograph.checks.records import Finding, Number
 from heliograph.checks.windows import forces_over, lever_arm, turns_over
 
@@ -15,14 +15,13 @@ __all__ = ["check_clock_offset", "check_prediction"]
 
 Array = NDArray[np.float64]
 
-_HOPELESS = 0.2  # offset that no calibration begins from [s]
-_FEWEST = 20
-_MEETING_NS = 1_000_000_000  # two recorders may begin and end so far apart
+_MIN_SCANS = 20
+_MAX_APART_NS = 1_000_000_000  # by which the beginnings and ends of two recorders may differ [ns]
 # By how much the predictions must differ to be counted: below it, chance and the LiDAR's noise decide [rad], [m]. Where
-# the IMU tells of no change, the LiDAR must show so many times as much.
-_CHANGED_TURN, _CHANGED_WAY, _PLAIN = 0.006, 0.02, 3.0
+# the IMU shows no change, the LiDAR must show that factor more.
+_MIN_TURN_CHANGE, _MIN_WAY_CHANGE, _LIDAR_CHANGE_FACTOR = 0.006, 0.02, 3.0
 _WAY_SPAN = 2  # scans between the positions compared: over one, the LiDAR's noise is as large as most accelerations
-_BETTER = {"rotation": 0.7, "translation": 0.4, "velocity": 0.5}
+_MIN_SHARES = {"rotation": 0.7, "translation": 0.4, "velocity": 0.5}
 """Shares of scans that the IMU must predict better than a constant velocity does: those of GLIM's IMUValidation
 (K. Koide et al., GLIM: 3D range-inertial localization and mapping with GPU-accelerated scan matching factors, 2024).
 docs/howto/check_imu.md gives the shares that sound and spoilt simulations reach."""
@@ -35,7 +34,7 @@ def check_clock_offset(evidence: Evidence) -> Finding:
     comparisons of axes and mounting are made at the offset found, so that it does not look like a wrong mounting.
     """
     code, title = "clock-offset", "LiDAR-IMU clock offset"
-    if (apart := _apart(evidence)) is not None:
+    if (apart := _stamp_distance(evidence)) is not None:
         return Finding(
             code=code,
             title=title,
@@ -49,22 +48,22 @@ def check_clock_offset(evidence: Evidence) -> Finding:
         why = evidence.why or "LiDAR and IMU overlap too little in time"
         return Finding(code=code, title=title, verdict="unknown", evidence=why)
     numbers = (
-        Number(name="offset", value=offset.seconds, unit="s", limit=WORTH_TELLING),
-        Number(name="correlation", value=offset.correlation, limit=ALIKE),
+        Number(name="offset", value=offset.seconds, unit="s", limit=evidence.config.warn_offset),
+        Number(name="correlation", value=offset.correlation, limit=MIN_CORRELATION),
     )
-    if not offset.told:
+    if not offset.determined:
         alike = f"too unlike to tell (correlation {offset.correlation:.2f})"
-        text = f"the angular speeds are {'too even to tell' if offset.correlation >= ALIKE else alike}"
+        text = f"the angular speeds are {'too even to tell' if offset.correlation >= MIN_CORRELATION else alike}"
         return Finding(code=code, title=title, verdict="unknown", evidence=text, numbers=numbers)
     late, sigma = 1e3 * offset.seconds, 1e3 * offset.sigma
     way = "late" if late > 0.0 else "early"
     text = f"the angular speeds match best with the IMU's stamps {abs(late):.0f} ms (+- {max(sigma, 1.0):.0f}) {way}"
-    if not offset.significant:
+    if not offset.significant(evidence.config.warn_offset):
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
     return Finding(
         code=code,
         title=title,
-        verdict="fail" if abs(offset.seconds) > _HOPELESS else "warn",
+        verdict="fail" if abs(offset.seconds) > evidence.config.max_offset else "warn",
         evidence=text,
         remedy="`heliograph calibrate` measures the offset; synchronise the clocks (PTP, PPS) for the next recording",
         numbers=numbers,
@@ -84,13 +83,13 @@ def check_prediction(evidence: Evidence) -> Finding:
             code=code, title=title, verdict="unknown", evidence=evidence.why or "too few scans in motion to predict"
         )
     numbers = tuple(
-        Number(name=name, value=share, limit=_BETTER[name]) for name, (share, count) in shares.items() if count
+        Number(name=name, value=share, limit=_MIN_SHARES[name]) for name, (share, count) in shares.items() if count
     )
-    told = ", ".join(f"{name} of {100 * share:.0f} %" for name, (share, count) in shares.items() if count)
-    text = f"the IMU predicts {told} of the scans in motion better than a constant velocity does"
+    listed = ", ".join(f"{name} of {100 * share:.0f} %" for name, (share, count) in shares.items() if count)
+    text = f"the IMU predicts {listed} of the scans in motion better than a constant velocity does"
     if not numbers:
         return Finding(code=code, title=title, verdict="unknown", evidence="too few scans in motion to predict")
-    poor = {name for name, (share, count) in shares.items() if count and share < _BETTER[name]}
+    poor = {name for name, (share, count) in shares.items() if count and share < _MIN_SHARES[name]}
     if not poor:
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
     return Finding(
@@ -98,7 +97,7 @@ def check_prediction(evidence: Evidence) -> Finding:
         title=title,
         verdict="fail" if "rotation" in poor else "warn",
         evidence=text,
-        remedy=_blamed(poor),
+        remedy=_find_remedy(poor),
         consequence=True,
         numbers=tuple(sorted(numbers, key=lambda number: number.name not in poor)),
     )
@@ -119,7 +118,7 @@ def prediction_shares(evidence: Evidence) -> dict[str, tuple[float, int]] | None
     bias = np.median((turns.imu - seen) / turns.spans[:, None], axis=0)
     felt = turns.imu - bias * turns.spans[:, None]
     follows = np.flatnonzero(np.diff(turns.first) == 1)  # windows with one directly before them
-    rotation = _compared(felt[follows + 1] - seen[follows], (seen[follows + 1] - seen[follows]), _CHANGED_TURN)
+    rotation = _count_better(felt[follows + 1] - seen[follows], (seen[follows + 1] - seen[follows]), _MIN_TURN_CHANGE)
     a = forces.imu_acceleration(lever_arm(motion))
     f = np.einsum("nabc,cb->na", forces.specific, R)
     f = f - np.median(f - a, axis=0)
@@ -128,21 +127,21 @@ def prediction_shares(evidence: Evidence) -> dict[str, tuple[float, int]] | None
     both = [(v[follows] + v[follows + 1]) / 2.0 * way[follows] for v in (f, a)]
     found = {
         "rotation": rotation,
-        "translation": _compared(f * way, a * way, _CHANGED_WAY),
-        "velocity": _compared(both[0], both[1], _CHANGED_WAY),
+        "translation": _count_better(f * way, a * way, _MIN_WAY_CHANGE),
+        "velocity": _count_better(both[0], both[1], _MIN_WAY_CHANGE),
     }
-    return {name: (share, count if count >= _FEWEST else 0) for name, (share, count) in found.items()}
+    return {name: (share, count if count >= _MIN_SCANS else 0) for name, (share, count) in found.items()}
 
 
-def _compared(predicted: Array, actual: Array, least: float) -> tuple[float, int]:
+def _count_better(predicted: Array, actual: Array, least: float) -> tuple[float, int]:
     """Return how often ``predicted`` is nearer to ``actual`` than zero is, and how many were counted."""
     size = np.linalg.norm(actual, axis=1)
-    counted = (np.linalg.norm(predicted, axis=1) > least) | (size > _PLAIN * least)
+    counted = (np.linalg.norm(predicted, axis=1) > least) | (size > _LIDAR_CHANGE_FACTOR * least)
     better = np.linalg.norm(predicted - actual, axis=1) < size
     return (float(better[counted].mean()) if np.any(counted) else 0.0), int(np.count_nonzero(counted))
 
 
-def _blamed(poor: set[str]) -> str:
+def _find_remedy(poor: set[str]) -> str:
     """Name the remedy by what is predicted badly: rotation is the gyroscope's, the rest the accelerometer's."""
     if "rotation" in poor:
         return "the gyroscope misleads: see its unit, axes, mounting and clock offset above, in this order"
@@ -151,10 +150,10 @@ def _blamed(poor: set[str]) -> str:
     return "the accelerometer's mean misleads: calibrate its bias (six positions at rest), or see the clock offset"
 
 
-def _apart(evidence: Evidence) -> float | None:
+def _stamp_distance(evidence: Evidence) -> float | None:
     """Return how far apart the two sensors' stamps lie where they do not overlap at all [s]."""
-    if evidence.motion is None or min(len(evidence.batch), len(evidence.motion)) < _FEWEST:
+    if evidence.motion is None or min(len(evidence.batch), len(evidence.motion)) < _MIN_SCANS:
         return None
     imu, lidar = evidence.batch.stamps_ns, evidence.motion.trajectory.stamps_ns
     apart = max(int(lidar[0] - imu[-1]), int(imu[0] - lidar[-1]))
-    return apart * 1e-9 if apart > _MEETING_NS else None
+    return apart * 1e-9 if apart > _MAX_APART_NS else None

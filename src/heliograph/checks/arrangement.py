@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.checks.evidence import Evidence
-from heliograph.checks.fit import EXCLUDED, TurnFit, cross, fit_turns, nearest_orthogonal, without_mean_rate
+from heliograph.checks.fit import EXCLUSION_CHI_SQUARE, TurnFit, cross, fit_turns, nearest_orthogonal, without_mean_rate
 from heliograph.checks.windows import Forces, Turns, lever_arm
 from heliograph.data import Rig
 from heliograph.lie import so3
@@ -95,9 +95,9 @@ def _mounting_by_turns(rig: Rig, turns: Turns) -> Array | None:
 
 
 def gyro_arrangement(evidence: Evidence) -> Arrangement | None:
-    """Judge the gyroscope's axes by the LiDAR's turns, where the mounting is told.
+    """Judge the gyroscope's axes by the LiDAR's turns, where the mounting is known.
 
-    Of ``phi_imu = s P R phi_lidar + b span`` the bias b is projected out; scale s and cost of every arrangement P then
+    In ``phi_imu = s P R phi_lidar + b span`` the bias b is projected out; scale s and cost of every arrangement P then
     follow from ``B = sum phi_imu phi_lidar^T`` alone: with the energies E of both sides, ``s = <P R, B> / E_lidar`` and
     ``cost = E_imu - s^2 E_lidar``. That is Wahba's problem (see `fit_turns`) over the 48 labellings of the axes,
     left-handed ones included.
@@ -112,7 +112,7 @@ def gyro_arrangement(evidence: Evidence) -> Arrangement | None:
     R = motion.rig.T_imu_lidar[:3, :3]
     scales = np.maximum(np.einsum("kij,jl,il->k", ARRANGEMENTS, R, B), 0.0) / energy_lidar
     costs = energy_imu - scales**2 * energy_lidar
-    return Arrangement(possible=costs - costs.min() < EXCLUDED * fit.unit)
+    return Arrangement(possible=costs - costs.min() < EXCLUSION_CHI_SQUARE * fit.unit)
 
 
 def accel_arrangement(evidence: Evidence) -> Arrangement | None:
@@ -131,7 +131,7 @@ def accel_arrangement(evidence: Evidence) -> Arrangement | None:
     R_lidar_imu = np.einsum("ji,klj->kil", R, ARRANGEMENTS)  # R^T P^T
     costs = _force_costs(forces, R_lidar_imu, lever_arm(motion) if motion.rig.known else None)
     sigma = max(float(np.sqrt(costs.min() / (3 * len(forces.lidar)))), _FORCE_SIGMA)
-    return Arrangement(possible=costs - costs.min() < EXCLUDED * forces.overlap * sigma**2)
+    return Arrangement(possible=costs - costs.min() < EXCLUSION_CHI_SQUARE * forces.overlap * sigma**2)
 
 
 def _force_costs(forces: Forces, R_lidar_imu: Array, p_lidar_imu: Array | None) -> Array:

@@ -20,10 +20,9 @@ from heliograph.checks.windows import Turns
 
 __all__ = ["check_accel_axes", "check_gyro_axes", "check_mounting"]
 
-_TESTED = 24  # of 47 other arrangements that must be excluded before the axes count as tested
-_MOUNTING_WARN, _MOUNTING_FAIL = np.radians(3.0), np.radians(15.0)
-_FOREIGN = 0.5  # share of the turns that no arrangement explains
-_WORTH_FITTING = 0.02  # mean turn over one window that is more than the LiDAR's noise [rad]
+_MIN_EXCLUDED = 24  # of 47 other arrangements that must be excluded before the axes count as tested
+_FOREIGN_SHARE = 0.5  # share of the turns that no arrangement explains
+_MIN_TURN = 0.02  # mean turn over one window that is more than the LiDAR's noise [rad]
 
 
 def check_gyro_axes(evidence: Evidence) -> Finding:
@@ -32,24 +31,24 @@ def check_gyro_axes(evidence: Evidence) -> Finding:
     turns, motion = evidence.turns, evidence.motion
     fit = fit_turns(turns) if turns is not None else None
     if turns is None or motion is None or fit is None:
-        return _untested(code, title, evidence.why or "the sensor does not turn")
-    if foreign := _foreign(turns, fit):
+        return _untested_finding(code, title, evidence.why or "the sensor does not turn")
+    if foreign := _is_foreign(turns, fit):
         return Finding(
             code=code,
             title=title,
             verdict="fail",
             evidence=f"whichever way round, {100 * foreign:.0f} % of the gyroscope's turns are not the LiDAR's",
             remedy="see the findings above first; else the gyroscope belongs to another body, or its clock is far off",
-            numbers=(Number(name="unexplained turns", value=foreign, limit=_FOREIGN),),
+            numbers=(Number(name="unexplained turns", value=foreign, limit=_FOREIGN_SHARE),),
         )
     found = gyro_arrangement(evidence)
     if found is None:
         return _handedness(code, title, fit)
     if found.excluded == 0:
-        return _untested(code, title, "the LiDAR sees hardly any turn")
+        return _untested_finding(code, title, "the LiDAR sees hardly any turn")
     if found.as_expected:
-        return _as_expected(code, title, found, "turns")
-    return _wrong(code, title, found, accel_arrangement(evidence), "gyroscope")
+        return _expected_finding(code, title, found, "turns")
+    return _wrong_finding(code, title, found, accel_arrangement(evidence), "gyroscope")
 
 
 def check_accel_axes(evidence: Evidence) -> Finding:
@@ -58,17 +57,19 @@ def check_accel_axes(evidence: Evidence) -> Finding:
     turns, motion = evidence.turns, evidence.motion
     fit = fit_turns(turns) if turns is not None else None
     if turns is None or motion is None or evidence.forces is None:
-        return _untested(code, title, evidence.why or "LiDAR and IMU overlap too little in time")
-    if fit is not None and _foreign(turns, fit):
-        return _untested(code, title, "the IMU does not follow the LiDAR's turns; that comes first")
+        return _untested_finding(code, title, evidence.why or "LiDAR and IMU overlap too little in time")
+    if fit is not None and _is_foreign(turns, fit):
+        return _untested_finding(code, title, "the IMU does not follow the LiDAR's turns; that comes first")
     found = accel_arrangement(evidence)
     if found is None:
-        return _untested(code, title, "nothing tells the mounting, and the turns do not show it")
+        return _untested_finding(code, title, "nothing tells the mounting, and the turns do not show it")
     if found.as_expected:
-        if found.excluded < _TESTED:
-            return _untested(code, title, f"motion and tilt exclude {found.excluded} of 47 wrong arrangements only")
-        return _as_expected(code, title, found, "gravity and acceleration")
-    return _wrong(code, title, found, gyro_arrangement(evidence), "accelerometer")
+        if found.excluded < _MIN_EXCLUDED:
+            return _untested_finding(
+                code, title, f"motion and tilt exclude {found.excluded} of 47 wrong arrangements only"
+            )
+        return _expected_finding(code, title, found, "gravity and acceleration")
+    return _wrong_finding(code, title, found, gyro_arrangement(evidence), "accelerometer")
 
 
 def check_mounting(evidence: Evidence) -> Finding:
@@ -77,33 +78,33 @@ def check_mounting(evidence: Evidence) -> Finding:
     turns, motion = evidence.turns, evidence.motion
     fit = fit_turns(turns) if turns is not None else None
     if turns is None or motion is None or fit is None:
-        return _untested(code, title, evidence.why or "the sensor does not turn")
+        return _untested_finding(code, title, evidence.why or "the sensor does not turn")
     found = gyro_arrangement(evidence)
     if found is None:
-        return _untested(code, title, "nothing tells the mounting; a run aligns it from the motion")
-    if not found.as_expected or _foreign(turns, fit):
-        return _untested(code, title, "the gyroscope's axes come first")
+        return _untested_finding(code, title, "nothing tells the mounting; a run aligns it from the motion")
+    if not found.as_expected or _is_foreign(turns, fit):
+        return _untested_finding(code, title, "the gyroscope's axes come first")
     angle, sigma, axes = misalignment(turns, np.asarray(motion.rig.T_imu_lidar[:3, :3]), fit)
     if axes == 0:
-        return _untested(code, title, "the LiDAR sees hardly any turn")
-    limit = float(np.degrees(_MOUNTING_WARN))
+        return _untested_finding(code, title, "the LiDAR sees hardly any turn")
+    limit = evidence.config.warn_mounting_deg
     numbers = (Number(name="off by", value=float(np.degrees(angle)), unit="deg", limit=limit),)
     about = {1: "the one axis", 2: "the two axes", 3: "the three axes"}[axes]
     text = f"{np.degrees(angle):.1f} deg (+- {np.degrees(sigma):.1f}) about {about} that the turns show"
-    if angle < max(_MOUNTING_WARN, 5.0 * sigma):
+    if angle < max(np.radians(limit), 5.0 * sigma):
         text = f"{motion.rig.source} agrees to {text}"
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
     return Finding(
         code=code,
         title=title,
-        verdict="fail" if angle > _MOUNTING_FAIL else "warn",
+        verdict="fail" if angle > np.radians(evidence.config.max_mounting_deg) else "warn",
         evidence=f"{motion.rig.source} is off by {text}",
         remedy="measure the mounting anew: `heliograph calibrate`, then --extrinsic FILE",
         numbers=numbers,
     )
 
 
-def _as_expected(code: str, title: str, found: Arrangement, by: str) -> Finding:
+def _expected_finding(code: str, title: str, found: Arrangement, by: str) -> Finding:
     others = 47 - found.excluded
     rest = f"; {others} {'is' if others == 1 else 'are'} not told from it" if others else ""
     return Finding(
@@ -111,11 +112,11 @@ def _as_expected(code: str, title: str, found: Arrangement, by: str) -> Finding:
         title=title,
         verdict="ok",
         evidence=f"as the mounting says: {by} exclude {found.excluded} of 47 wrong arrangements{rest}",
-        numbers=(Number(name="excluded", value=float(found.excluded), limit=float(_TESTED)),),
+        numbers=(Number(name="excluded", value=float(found.excluded), limit=float(_MIN_EXCLUDED)),),
     )
 
 
-def _wrong(code: str, title: str, found: Arrangement, other: Arrangement | None, sensor: str) -> Finding:
+def _wrong_finding(code: str, title: str, found: Arrangement, other: Arrangement | None, sensor: str) -> Finding:
     """Name the arrangement, and whose mistake it is: the mounting's where both sensors agree on a rotation."""
     shared = found.possible & other.possible if other is not None and not other.as_expected else np.zeros(48, bool)
     alike = bool(np.any(shared))
@@ -148,7 +149,7 @@ def _wrong(code: str, title: str, found: Arrangement, other: Arrangement | None,
 def _handedness(code: str, title: str, fit: TurnFit) -> Finding:
     """Judge without a mounting: any right-handed arrangement is possible, a left-handed one is not."""
     if fit.handed == 0.0:
-        return _untested(code, title, "nothing tells the mounting, and the LiDAR turns about too few axes")
+        return _untested_finding(code, title, "nothing tells the mounting, and the LiDAR turns about too few axes")
     if fit.handed > 0.0:
         text = "right-handed; nothing tells the mounting, so any rotation of the axes is possible"
         return Finding(code=code, title=title, verdict="ok", evidence=text)
@@ -161,12 +162,12 @@ def _handedness(code: str, title: str, fit: TurnFit) -> Finding:
     )
 
 
-def _foreign(turns: Turns, fit: TurnFit) -> float:
+def _is_foreign(turns: Turns, fit: TurnFit) -> float:
     """Return the share of the gyroscope's turning that the best fit leaves; 0 where that is little, or noise."""
     size = float(np.sqrt(np.mean(np.var(turns.imu, axis=0))))
-    share = min(1.0, fit.sigma / size) if size > _WORTH_FITTING else 0.0
-    return share if share > _FOREIGN else 0.0
+    share = min(1.0, fit.sigma / size) if size > _MIN_TURN else 0.0
+    return share if share > _FOREIGN_SHARE else 0.0
 
 
-def _untested(code: str, title: str, why: str) -> Finding:
+def _untested_finding(code: str, title: str, why: str) -> Finding:
     return Finding(code=code, title=title, verdict="unknown", evidence=why)

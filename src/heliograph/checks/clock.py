@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from heliograph.checks.records import ImuRecord
 
-__all__ = ["STEP", "clock_drift", "clock_steps"]
+__all__ = ["CLOCK_STEP", "clock_drift", "clock_steps"]
 
 Array = NDArray[np.float64]
 
-STEP = 0.02
+CLOCK_STEP = 0.02
 """A step of the header stamps against the times of reception that is not transport any more [s]."""
-_FEWEST = 10  # samples below which nothing can be said
-_BLOCK = 1.0  # over which the quickest delivery stands for the clock [s]
+_MIN_SAMPLES = 10  # samples below which nothing can be said
+_BLOCK_S = 1.0  # over which the quickest delivery stands for the clock [s]
 
 
 def clock_steps(imu: ImuRecord) -> tuple[NDArray[np.int64], Array]:
@@ -23,17 +23,17 @@ def clock_steps(imu: ImuRecord) -> tuple[NDArray[np.int64], Array]:
     A step of the clock is there in every later second, and it is the stamps that are oddly spaced there, not the times
     of reception: messages held up in a queue show the opposite.
     """
-    if len(imu) < _FEWEST or imu.received_ns[-1] <= imu.received_ns[0]:
+    if len(imu) < _MIN_SAMPLES or imu.received_ns[-1] <= imu.received_ns[0]:
         return np.zeros(0, np.int64), np.zeros(0)
     lag = (imu.received_ns - imu.stamps_ns) * 1e-9
     lag = lag - lag[0]
     at = (imu.received_ns - imu.received_ns[0]) * 1e-9
-    width = min(_BLOCK, at[-1] / 6.0)
+    width = min(_BLOCK_S, at[-1] / 6.0)
     block = np.unique(np.minimum((at / width).astype(np.int64), int(at[-1] / width)), return_inverse=True)[1]
     quickest = _block_minima(block, lag)
     steps = np.diff(imu.stamps_ns) * 1e-9
     period = float(np.median(np.abs(steps)))
-    limit = max(STEP, 2.0 * period)
+    limit = max(CLOCK_STEP, 2.0 * period)
     found: set[int] = set()
     for j in range(1, len(quickest) - 2):
         before, after = quickest[max(0, j - 2) : j + 1], quickest[j + 1 : j + 4]
@@ -61,7 +61,7 @@ def clock_drift(imu: ImuRecord) -> tuple[float, float, float]:
     at = (imu.received_ns - imu.received_ns[0]) * 1e-9
     if at[-1] <= 0.0:
         return 0.0, 0.0, 0.0
-    block = np.unique((at / max(_BLOCK, at[-1] / 300.0)).astype(np.int64), return_inverse=True)[1]
+    block = np.unique((at / max(_BLOCK_S, at[-1] / 300.0)).astype(np.int64), return_inverse=True)[1]
     lowest = _block_minima(block, lag - lag[0])
     times = _block_minima(block, at)
     if len(lowest) < 3:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from heliograph.checks.clock import clock_steps
 from heliograph.checks.fit import bias_beside
-from heliograph.checks.offset import FARTHEST, Offset, find_offset
+from heliograph.checks.offset import MAX_OFFSET, Offset, find_offset
 from heliograph.checks.records import CheckedMotion, ImuRecord
 from heliograph.checks.windows import Forces, Turns, forces_over, turns_over, usable
+from heliograph.config import CheckConfig
 from heliograph.data import ImuBatch
 
 __all__ = ["GRAVITY", "Evidence", "gather"]
@@ -21,7 +22,7 @@ GRAVITY = 9.80665
 
 _TURN_SPAN = 3  # scans over which turns are compared
 _FORCE_SPAN = 2  # scans on either side of a second difference of positions
-_FAR = 3.0  # factor beyond which rates or forces are in another unit
+_UNIT_FACTOR = 3.0  # factor beyond which rates or forces are in another unit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,10 +42,12 @@ class Evidence:
     gyro_scale, accel_scale : float
         How many times too large the samples are where they are in a wrong unit, roughly; 1 elsewhere.
     offset : Offset or None
-        Of the IMU's stamps.
+        By how much the IMU's stamps are off.
     turns, forces : Turns, Forces or None
         Compared over windows, with samples brought to the right size, at the offset if there is one, over the longest
         stretch without a step of the clock; None without a LiDAR or with too few common scans.
+    config : CheckConfig
+        From where on a finding warns or fails.
     """
 
     imu: ImuRecord
@@ -56,9 +59,12 @@ class Evidence:
     offset: Offset | None = None
     turns: Turns | None = None
     forces: Forces | None = None
+    config: CheckConfig = field(default_factory=CheckConfig)
 
 
-def gather(imu: ImuRecord, motion: CheckedMotion | None, why: str = "") -> Evidence:
+def gather(
+    imu: ImuRecord, motion: CheckedMotion | None, why: str = "", *, config: CheckConfig | None = None
+) -> Evidence:
     """Prepare what the checks share.
 
     Parameters
@@ -67,9 +73,11 @@ def gather(imu: ImuRecord, motion: CheckedMotion | None, why: str = "") -> Evide
     motion : CheckedMotion or None
     why : str
         Why there is no motion.
+    config : CheckConfig, optional
     """
     batch = usable(imu)
-    alone = Evidence(imu=imu, batch=batch, motion=motion, why=why, accel_scale=_accel_scale(batch))
+    config = config or CheckConfig()
+    alone = Evidence(imu=imu, batch=batch, motion=motion, why=why, accel_scale=_accel_scale(batch), config=config)
     if motion is None:
         return alone
     whole = _within(_unbroken(imu, batch), motion)
@@ -81,10 +89,10 @@ def gather(imu: ImuRecord, motion: CheckedMotion | None, why: str = "") -> Evide
     offset = find_offset(even, motion)
     if offset is not None:
         # The bias distorts the speeds, and shows only once the turns are compared at about the right time.
-        rough = (turns_over(_earlier(even, offset), motion, _TURN_SPAN) if offset.told else None) or turns
+        rough = (turns_over(_earlier(even, offset), motion, _TURN_SPAN) if offset.determined else None) or turns
         unbiased = replace(even, gyro=even.gyro - bias_beside(rough))
-        offset = find_offset(unbiased, motion, near=offset.seconds if offset.told else None)
-    if offset is not None and offset.significant:
+        offset = find_offset(unbiased, motion, near=offset.seconds if offset.determined else None)
+    if offset is not None and offset.significant(config.warn_offset):
         even = _earlier(even, offset)
         turns = turns_over(even, motion, _TURN_SPAN) or turns
     forces = forces_over(even, motion, _FORCE_SPAN)
@@ -98,7 +106,7 @@ def _earlier(batch: ImuBatch, offset: Offset) -> ImuBatch:
 
 def _accel_scale(batch: ImuBatch) -> float:
     size = float(np.median(np.linalg.norm(batch.accel, axis=1))) / GRAVITY if len(batch) else 0.0
-    return size if size > 0.0 and not 1.0 / _FAR < size < _FAR else 1.0
+    return size if size > 0.0 and not 1.0 / _UNIT_FACTOR < size < _UNIT_FACTOR else 1.0
 
 
 def _gyro_scale(batch: ImuBatch, motion: CheckedMotion) -> float:
@@ -116,12 +124,12 @@ def _gyro_scale(batch: ImuBatch, motion: CheckedMotion) -> float:
     felt: NDArray[np.float64] = np.linalg.norm(rates - np.median(rates, axis=0), axis=1)
     fast = float(np.quantile(seen, 0.9))
     ratio = float(np.quantile(felt, 0.9)) / fast if fast > 0.05 else 1.0
-    return ratio if ratio > 0.0 and not 1.0 / _FAR < ratio < _FAR else 1.0
+    return ratio if ratio > 0.0 and not 1.0 / _UNIT_FACTOR < ratio < _UNIT_FACTOR else 1.0
 
 
 def _within(batch: ImuBatch, motion: CheckedMotion) -> ImuBatch:
     """Return the samples that can be compared, whatever the offset; a long recording has many more."""
-    stamps, margin = motion.trajectory.stamps_ns, round(1e9 * (FARTHEST + 1.0))
+    stamps, margin = motion.trajectory.stamps_ns, round(1e9 * (MAX_OFFSET + 1.0))
     if not len(stamps):
         return batch
     begin, end = np.searchsorted(batch.stamps_ns, [stamps[0] - margin, stamps[-1] + margin])

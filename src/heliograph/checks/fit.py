@@ -13,11 +13,11 @@ __all__ = ["TurnFit", "bias_beside", "cross", "fit_turns", "nearest_orthogonal",
 
 Array = NDArray[np.float64]
 
-EXCLUDED = 30.0
+EXCLUSION_CHI_SQUARE = 30.0
 """Chi-square by which one explanation must be worse than the best before it is excluded; 5.5 sigma, because the LiDAR's
 errors are not white."""
 _TURN_SIGMA = 0.002  # the least that two sensors differ over one window [rad]
-_KNOWN = np.radians(3.0)  # sigma of a rotation that other comparisons may rest on [rad]
+_MAX_ROTATION_SIGMA = np.radians(3.0)  # sigma of a rotation that other comparisons may rest on [rad]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,8 +72,8 @@ def fit_turns(turns: Turns) -> TurnFit | None:
         scale_sigma=float(np.sqrt(unit / energy_lidar)),
         unit=unit,
         sigma=sigma,
-        handed=float(np.sign(np.linalg.det(R))) if mirrored > EXCLUDED * unit else 0.0,
-        determined=bool(scale * float(values[1] + values[2]) * _KNOWN**2 > unit),
+        handed=float(np.sign(np.linalg.det(R))) if mirrored > EXCLUSION_CHI_SQUARE * unit else 0.0,
+        determined=bool(scale * float(values[1] + values[2]) * _MAX_ROTATION_SIGMA**2 > unit),
     )
 
 

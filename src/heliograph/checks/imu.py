@@ -18,6 +18,7 @@ from heliograph.checks.stamps import (
     check_values,
 )
 from heliograph.checks.units import check_accel_unit, check_gyro_unit
+from heliograph.config import CheckConfig
 
 __all__ = ["IMU_CHECKS", "check_imu"]
 
@@ -42,7 +43,9 @@ IMU_CHECKS: tuple[Callable[[Evidence], Finding], ...] = (
 """One function a check; of equally bad findings the earliest is the one to act on first."""
 
 
-def check_imu(imu: ImuRecord, motion: CheckedMotion | None = None, why: str = "") -> tuple[Finding, ...]:
+def check_imu(
+    imu: ImuRecord, motion: CheckedMotion | None = None, why: str = "", *, config: CheckConfig | None = None
+) -> tuple[Finding, ...]:
     """Run all checks of an IMU.
 
     Parameters
@@ -53,11 +56,15 @@ def check_imu(imu: ImuRecord, motion: CheckedMotion | None = None, why: str = ""
         What the LiDAR alone saw; without it the checks that compare are ``unknown``.
     why : str
         Why there is none, for the findings.
+    config : CheckConfig, optional
+        From where on a finding warns or fails.
 
     Returns
     -------
     tuple of Finding
         One a check, in the order of `IMU_CHECKS`.
     """
-    evidence = gather(imu, motion, why or ("" if motion is not None else "there is no LiDAR to compare with"))
+    evidence = gather(
+        imu, motion, why or ("" if motion is not None else "there is no LiDAR to compare with"), config=config
+    )
     return tuple(check(evidence) for check in IMU_CHECKS)

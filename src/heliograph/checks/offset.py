@@ -12,21 +12,19 @@ from heliograph.checks.windows import orientation_at
 from heliograph.data import ImuBatch
 from heliograph.lie import so3
 
-__all__ = ["ALIKE", "FARTHEST", "WORTH_TELLING", "Offset", "find_offset"]
+__all__ = ["MAX_OFFSET", "MIN_CORRELATION", "Offset", "find_offset"]
 
 Array = NDArray[np.float64]
 
-WORTH_TELLING = 0.015
-"""Smaller offsets are left to the calibration [s]."""
-FARTHEST = 10.0
+MAX_OFFSET = 10.0
 """No offset beyond it is looked for [s]."""
-ALIKE = 0.9
-"""Correlation of the angular speeds below which no offset can be told."""
-_SEARCH, _STEP = 0.5, 0.005  # of the offset nearby [s]
-_COARSE = 0.02  # and far away [s]
-_LIVELY = 0.05  # standard deviation of the angular speed below which there is nothing to correlate [rad/s]
-_FEWEST = 20
-_CHANCE = 0.01  # by which correlations differ for no reason
+MIN_CORRELATION = 0.9
+"""Correlation of the angular speeds below which no offset can be determined."""
+_SEARCH_S, _FINE_STEP_S = 0.5, 0.005  # of the offset nearby [s]
+_COARSE_STEP_S = 0.02  # and far away [s]
+_MIN_SPEED_SIGMA = 0.05  # standard deviation of the angular speed below which there is nothing to correlate [rad/s]
+_MIN_PAIRS = 20
+_CORRELATION_NOISE = 0.01  # by which correlations differ for no reason
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,25 +36,24 @@ class Offset:
     seconds, sigma : float
         Positive where the IMU's stamps are late [s].
     correlation : float
-        Of the angular speeds at that shift.
-    lively : float
+        Correlation of the angular speeds at that shift.
+    speed_sigma : float
         Standard deviation of the LiDAR's angular speed [rad/s].
     """
 
     seconds: float
     sigma: float
     correlation: float
-    lively: float
+    speed_sigma: float
 
     @property
-    def told(self) -> bool:
+    def determined(self) -> bool:
         """Whether the motion shows it at all."""
-        return self.lively >= _LIVELY and self.correlation >= ALIKE
+        return self.speed_sigma >= _MIN_SPEED_SIGMA and self.correlation >= MIN_CORRELATION
 
-    @property
-    def significant(self) -> bool:
-        """Whether it is worth telling."""
-        return self.told and abs(self.seconds) >= max(WORTH_TELLING, 3.0 * self.sigma)
+    def significant(self, limit: float) -> bool:
+        """Whether it is known to be above a limit [s] that is worth a remark."""
+        return self.determined and abs(self.seconds) >= max(limit, 3.0 * self.sigma)
 
 
 def find_offset(batch: ImuBatch, motion: CheckedMotion, *, near: float | None = None) -> Offset | None:
@@ -73,18 +70,18 @@ def find_offset(batch: ImuBatch, motion: CheckedMotion, *, near: float | None = 
         Search around this shift only [s].
     """
     if near is not None:
-        return _best(batch, motion, near, 10.0 * _STEP, _STEP)
-    nearby = _best(batch, motion, 0.0, _SEARCH, _STEP)
-    if nearby is not None and nearby.correlation >= ALIKE:
+        return _best(batch, motion, near, 10.0 * _FINE_STEP_S, _FINE_STEP_S)
+    nearby = _best(batch, motion, 0.0, _SEARCH_S, _FINE_STEP_S)
+    if nearby is not None and nearby.correlation >= MIN_CORRELATION:
         return nearby
     overlap = min(batch.stamps_ns[-1], motion.trajectory.stamps_ns[-1]) - max(
         batch.stamps_ns[0], motion.trajectory.stamps_ns[0]
     )
-    reach = min(FARTHEST, 0.25 * overlap * 1e-9)
-    far = _best(batch, motion, 0.0, reach, _COARSE) if reach > _SEARCH else None
-    if far is None or far.correlation < ALIKE - 0.1:
+    reach = min(MAX_OFFSET, 0.25 * overlap * 1e-9)
+    far = _best(batch, motion, 0.0, reach, _COARSE_STEP_S) if reach > _SEARCH_S else None
+    if far is None or far.correlation < MIN_CORRELATION - 0.1:
         return nearby
-    return _best(batch, motion, far.seconds, 10.0 * _STEP, _STEP) or nearby
+    return _best(batch, motion, far.seconds, 10.0 * _FINE_STEP_S, _FINE_STEP_S) or nearby
 
 
 def _best(batch: ImuBatch, motion: CheckedMotion, center: float, reach: float, step: float) -> Offset | None:
@@ -93,11 +90,11 @@ def _best(batch: ImuBatch, motion: CheckedMotion, center: float, reach: float, s
     covered = (stamps + early >= batch.stamps_ns[0]) & (stamps + late <= batch.stamps_ns[-1])
     whole = covered & motion.tracked
     pairs = np.flatnonzero(whole[1:] & whole[:-1])
-    if len(pairs) < _FEWEST:
+    if len(pairs) < _MIN_PAIRS:
         return None
     spans: Array = (stamps[pairs + 1] - stamps[pairs]).astype(np.float64) * 1e-9
     seen = _speeds(R, pairs, spans)
-    lively = float(np.std(seen))
+    speed_sigma = float(np.std(seen))
     offsets: Array = center + step * np.arange(-round(reach / step), round(reach / step) + 1, dtype=np.float64)
     # One integration serves all offsets.
     shifted = stamps[None, :] + np.round(offsets * 1e9).astype(np.int64)[:, None]
@@ -105,19 +102,21 @@ def _best(batch: ImuBatch, motion: CheckedMotion, center: float, reach: float, s
     alike = np.array([_correlation(seen, _speeds(turned, pairs, spans)) for turned in R_imu])
     best = _nearest_peak(alike, offsets - center)
     if not 0 < best < len(offsets) - 1:
-        return Offset(seconds=float(offsets[best]), sigma=np.inf, correlation=float(alike[best]), lively=lively)
+        return Offset(
+            seconds=float(offsets[best]), sigma=np.inf, correlation=float(alike[best]), speed_sigma=speed_sigma
+        )
     below, peak, above = alike[best - 1 : best + 2]
     curvature = max((2.0 * peak - below - above) / step**2, 1e-12)
     offset = float(offsets[best] + (above - below) / (2.0 * curvature * step))
     sigma = float(np.sqrt(max(1.0 - peak, 1e-6) / (len(pairs) * curvature)))
-    return Offset(seconds=offset, sigma=sigma, correlation=float(peak), lively=lively)
+    return Offset(seconds=offset, sigma=sigma, correlation=float(peak), speed_sigma=speed_sigma)
 
 
 def _nearest_peak(alike: Array, shifts: Array) -> int:
     """Return the peak nearest to no shift among those that chance could have made the highest: gaits repeat."""
     highest = float(alike.max())
     inner = np.flatnonzero((alike[1:-1] >= alike[:-2]) & (alike[1:-1] >= alike[2:])) + 1
-    level = [int(k) for k in inner if 1.0 - alike[k] < 2.0 * (1.0 - highest) + _CHANCE]
+    level = [int(k) for k in inner if 1.0 - alike[k] < 2.0 * (1.0 - highest) + _CORRELATION_NOISE]
     return min(level, key=lambda k: abs(shifts[k]), default=int(alike.argmax()))
 
 

@@ -25,7 +25,7 @@ class CheckedMotion:
     Parameters
     ----------
     trajectory : Trajectory
-        T_odom_lidar at the middles of the sweeps, from an odometry that has not seen the IMU.
+        T_odom_lidar at the middles of the sweeps, from an odometry without the IMU.
     tracked : (N,) bool
         Whether the scan was matched; elsewhere the pose is a guess.
     rig : Rig
@@ -57,9 +57,9 @@ class Number:
     value : float or None
         None where it could not be measured.
     unit : str
-        Of the value and the limit; empty for shares and counts.
+        Unit of the value and the limit; empty for shares and counts.
     limit : float or None
-        Where the verdict turns; None for what is only told.
+        Where the verdict turns; None for what has none.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Finding:
     verdict : str
         One of `VERDICTS`.
     evidence : str
-        One sentence with what was seen.
+        One sentence with what was observed.
     remedy : str
         One sentence with what to do; empty when all is well.
     numbers : tuple of Number
@@ -128,7 +128,7 @@ class CheckReport:
 
     @property
     def verdict(self) -> str:
-        """The worst verdict; what could not be told counts for nothing."""
+        """The worst verdict; what is unknown counts for nothing."""
         return max((finding.verdict for finding in self.findings), key=VERDICTS.index, default="unknown")
 
     def as_dict(self) -> dict[str, object]:

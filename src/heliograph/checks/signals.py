@@ -15,23 +15,25 @@ __all__ = ["check_channels", "check_saturation", "check_vibration"]
 
 Array = NDArray[np.float64]
 
-_FEWEST = 50
+_MIN_SAMPLES = 50
 _STUCK_SHARE = 0.5  # of the samples that stand still while other channels move
 _REPEATED_SHARE = 0.1  # of the samples that repeat all six values of the one before
-_COARSE = {"gyroscope": 0.01, "accelerometer": 0.1}  # resolution above which it shows in the result [rad/s], [m/s^2]
+_MAX_RESOLUTION = {
+    "gyroscope": 0.01,
+    "accelerometer": 0.1,
+}  # resolution above which it shows in the result [rad/s], [m/s^2]
 _UNITS = {"gyroscope": "rad/s", "accelerometer": "m/s^2"}
-_CLIPPED_LEAST, _PILE = 4, 5.0  # samples at the very end of the range, and how many times as many as just below it
-_FAST = 15.0  # above what bodies do [Hz]
-_SHAKE = {"accelerometer": (2.0, 10.0), "gyroscope": (0.15, 0.75)}  # RMS above that frequency: warn, fail
-_SEGMENT = 512  # samples of one spectrum
-_NEAR_NYQUIST = 0.85
+_MIN_CLIPPED, _PILE_FACTOR = 4, 5.0  # samples at the very end of the range, and how many times as many as just below it
+_VIBRATION_HZ = 15.0  # above what bodies do [Hz]
+_SEGMENT_SAMPLES = 512  # samples of one spectrum
+_NYQUIST_SHARE = 0.85
 _AXES = "xyz"
 
 
 def check_channels(evidence: Evidence) -> Finding:
     """Look for channels that do not follow the motion: stuck, repeated or coarse values."""
     code, title, batch = "imu-channels", "channels", evidence.batch
-    if len(batch) < _FEWEST:
+    if len(batch) < _MIN_SAMPLES:
         return Finding(code=code, title=title, verdict="unknown", evidence=f"{len(batch)} samples are too few to tell")
     channels = {"gyroscope": batch.gyro, "accelerometer": batch.accel}
     same = np.concatenate([np.diff(values, axis=0) == 0.0 for values in channels.values()], axis=1)
@@ -45,7 +47,10 @@ def check_channels(evidence: Evidence) -> Finding:
     numbers = (
         Number(name="stuck channels", value=float(len(stuck)), limit=0.0),
         Number(name="repeated samples", value=repeated, limit=_REPEATED_SHARE),
-        *(Number(name=f"{name} step", value=step[name], unit=_UNITS[name], limit=_COARSE[name]) for name in channels),
+        *(
+            Number(name=f"{name} step", value=step[name], unit=_UNITS[name], limit=_MAX_RESOLUTION[name])
+            for name in channels
+        ),
     )
     if stuck:
         verdict, text = "fail", f"{', '.join(stuck)} {'does' if len(stuck) == 1 else 'do'} not change with the motion"
@@ -53,7 +58,7 @@ def check_channels(evidence: Evidence) -> Finding:
     elif repeated > _REPEATED_SHARE:
         verdict, text = "warn", f"{100 * repeated:.0f} % of the samples repeat all six values of the one before"
         remedy = "record at the sensor's true rate: the driver publishes more often than the sensor measures"
-    elif coarse := [name for name in channels if step[name] > _COARSE[name]]:
+    elif coarse := [name for name in channels if step[name] > _MAX_RESOLUTION[name]]:
         sizes = " and ".join(f"{name} in steps of {step[name]:.3g} {_UNITS[name]}" for name in coarse)
         verdict, text = "warn", f"values are coarse: {sizes}"
         remedy = "choose a smaller measuring range, or keep the driver from rounding"
@@ -69,13 +74,13 @@ def check_saturation(evidence: Evidence) -> Finding:
     equal ones at the end and few just below it. That holds whatever the range is, and in every unit.
     """
     code, title, batch = "imu-saturation", "saturation", evidence.batch
-    if len(batch) < _FEWEST:
+    if len(batch) < _MIN_SAMPLES:
         return Finding(code=code, title=title, verdict="unknown", evidence=f"{len(batch)} samples are too few to tell")
     found: list[tuple[str, float, NDArray[np.intp]]] = []
     for name, values in (("gyroscope", batch.gyro), ("accelerometer", batch.accel)):
         for axis in range(3):
             for sign in (1.0, -1.0):
-                clipped = _clipped(sign * values[:, axis])
+                clipped = _find_clipped(sign * values[:, axis])
                 if len(clipped):
                     found.append((f"{name} {_AXES[axis]}", float(values[clipped[0], axis]), clipped))
     count = len(np.unique(np.concatenate([at for *_, at in found]))) if found else 0
@@ -105,10 +110,10 @@ def check_vibration(evidence: Evidence) -> Finding:
     """Measure what shakes above the frequencies of bodies, and whether more may be folded in from above Nyquist."""
     code, title, batch = "imu-vibration", "vibration", evidence.batch
     period = period_s(batch)
-    if len(batch) < _FEWEST or period <= 0.0:
+    if len(batch) < _MIN_SAMPLES or period <= 0.0:
         return Finding(code=code, title=title, verdict="unknown", evidence=f"{len(batch)} samples are too few to tell")
     nyquist = 0.5 / period
-    if nyquist < 1.5 * _FAST:
+    if nyquist < 1.5 * _VIBRATION_HZ:
         text = f"at {1 / period:.0f} Hz nothing above {nyquist:.0f} Hz shows, it folds into the motion"
         return Finding(code=code, title=title, verdict="unknown", evidence=text)
     # In a wrong unit everything would shake: lengths are brought to size first.
@@ -117,22 +122,27 @@ def check_vibration(evidence: Evidence) -> Finding:
     if any(spectrum is None for spectrum in spectra.values()):
         return Finding(code=code, title=title, verdict="unknown", evidence="no stretch without gaps is long enough")
     shakes = {name: spectrum for name, spectrum in spectra.items() if spectrum is not None}
-    levels = {name: _level(shake.rms, _SHAKE[name]) for name, shake in shakes.items()}
-    name = max(shakes, key=lambda n: shakes[n].rms / _SHAKE[n][0])
+    config = evidence.config
+    limits = {
+        "accelerometer": (config.warn_vibration_accel, config.max_vibration_accel),
+        "gyroscope": (config.warn_vibration_gyro, config.max_vibration_gyro),
+    }
+    levels = {name: _level(shake.rms, limits[name]) for name, shake in shakes.items()}
+    name = max(shakes, key=lambda n: shakes[n].rms / limits[n][0])
     shake, level = shakes[name], max(levels.values())
     numbers = tuple(
         number
         for n, s in sorted(shakes.items(), key=lambda item: item[0] != name)
         for number in (
-            Number(name=f"{n} RMS", value=s.rms, unit=_UNITS[n], limit=_SHAKE[n][0]),
+            Number(name=f"{n} RMS", value=s.rms, unit=_UNITS[n], limit=limits[n][0]),
             Number(name=f"{n} peak", value=s.peak_hz, unit="Hz"),
         )
     )
-    text = f"above {_FAST:.0f} Hz the {name} shakes by {shake.rms:.3g} {_UNITS[name]} RMS"
+    text = f"above {_VIBRATION_HZ:.0f} Hz the {name} shakes by {shake.rms:.3g} {_UNITS[name]} RMS"
     if level == 0:
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
     text += f", {100 * shake.share:.0f} % of it at {shake.peak_hz:.0f} Hz"
-    folded = shake.peak_hz > _NEAR_NYQUIST * nyquist or shake.top > 0.5 * shake.rms
+    folded = shake.peak_hz > _NYQUIST_SHARE * nyquist or shake.top > 0.5 * shake.rms
     if folded:
         text += f"; much of it is near half the sampling rate ({nyquist:.0f} Hz), so it may be folded from above"
     remedy = "damp the mount or move it off the motor, and switch on the IMU's own low-pass filter"
@@ -178,14 +188,14 @@ def _resolution(values: Array) -> float:
     return max(steps, default=0.0)
 
 
-def _clipped(values: Array) -> NDArray[np.intp]:
+def _find_clipped(values: Array) -> NDArray[np.intp]:
     """Return the samples at the largest value, where they are too many to be chance."""
     largest, middle = float(values.max()), float(np.median(values))
     if largest <= middle:
         return np.zeros(0, np.intp)
     close = 1e-6 * (largest - middle)
     top = np.flatnonzero(values >= largest - close)
-    if len(top) < _CLIPPED_LEAST or not np.any(np.diff(top) == 1):
+    if len(top) < _MIN_CLIPPED or not np.any(np.diff(top) == 1):
         return np.zeros(0, np.intp)
     below = values[values < largest - close]
     level = float(below.max()) if len(below) else middle
@@ -193,7 +203,11 @@ def _clipped(values: Array) -> NDArray[np.intp]:
     near = int(np.count_nonzero(below >= largest - close - width))
     far = largest - middle > 4.0 * 1.4826 * float(np.median(np.abs(values - middle)))
     # Noise at rest on a coarse grid also ends in equal values, but not so far out and not with fewer just below.
-    return top if len(top) > _PILE * max(near, 1) and (far or len(top) > 20) and len(np.unique(values)) > 8 else top[:0]
+    return (
+        top
+        if len(top) > _PILE_FACTOR * max(near, 1) and (far or len(top) > 20) and len(np.unique(values)) > 8
+        else top[:0]
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +226,7 @@ def _shake(stamps_ns: NDArray[np.int64], values: Array) -> _Shake | None:
     period = float(np.median(steps))
     ends = np.flatnonzero(steps > 1.5 * period) + 1
     stretches = np.split(values, ends)
-    size = min(_SEGMENT, 1 << int(np.log2(max(1, max(len(s) for s in stretches)))))
+    size = min(_SEGMENT_SAMPLES, 1 << int(np.log2(max(1, max(len(s) for s in stretches)))))
     if size < 64:
         return None
     window = np.hanning(size)
@@ -224,7 +238,7 @@ def _shake(stamps_ns: NDArray[np.int64], values: Array) -> _Shake | None:
             total, count = total + power.sum(axis=1), count + 1
     variance = 2.0 * total / (count * size * float((window**2).sum()))  # of each frequency's share of the signal
     hertz = np.fft.rfftfreq(size, period)
-    fast = hertz >= _FAST
+    fast = hertz >= _VIBRATION_HZ
     peak = int(np.flatnonzero(fast)[variance[fast].argmax()])
     beside = fast & (np.abs(hertz - hertz[peak]) <= max(1.5, 2.5 * hertz[1]))
     whole = float(variance[fast].sum())
@@ -232,7 +246,7 @@ def _shake(stamps_ns: NDArray[np.int64], values: Array) -> _Shake | None:
         rms=float(np.sqrt(whole)),
         peak_hz=float((variance[beside] * hertz[beside]).sum() / max(float(variance[beside].sum()), 1e-300)),
         share=float(variance[beside].sum()) / max(whole, 1e-300),
-        top=float(np.sqrt(variance[hertz > _NEAR_NYQUIST * hertz[-1]].sum())),
+        top=float(np.sqrt(variance[hertz > _NYQUIST_SHARE * hertz[-1]].sum())),
     )
 
 

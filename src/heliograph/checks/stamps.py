@@ -1,6 +1,6 @@
 """Whether the IMU's samples are whole, in order, evenly spaced, and stamped by a clock that neither jumps nor runs off.
 
-What the reader repairs on its way (it drops samples whose stamp does not advance) is told here all the same: other
+What the reader repairs on its way (it drops samples whose stamp does not advance) is reported here all the same: other
 programs will stumble over it.
 """
 
@@ -9,29 +9,26 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.checks.clock import STEP, clock_drift, clock_steps
+from heliograph.checks.clock import CLOCK_STEP, clock_drift, clock_steps
 from heliograph.checks.evidence import Evidence
 from heliograph.checks.records import Finding, Number
-from heliograph.checks.windows import LARGEST, period_s
+from heliograph.checks.windows import MAX_VALUE, period_s
 
 __all__ = ["check_clock", "check_gaps", "check_jitter", "check_order", "check_rate", "check_values"]
 
-_FEWEST = 10  # samples below which nothing can be said
-_SHOWN = 5  # stamps told in a finding
+_MIN_SAMPLES = 10  # samples below which nothing can be said
+_MAX_LISTED = 5  # stamps that a finding lists
 _GAP_PERIODS, _MISSED_PERIODS = 4.0, 1.5
-_GAP_FAIL, _MISSED_WARN, _MISSED_FAIL = 0.5, 0.005, 0.1  # [s], shares
-_SPREAD_WARN = 0.3  # of a period
-_RATE_WARN, _RATE_FAIL = 90.0, 5.0  # [Hz]
 _REWIND_FAIL, _VALUES_FAIL = 0.01, 0.01  # shares
-_SHORT = 10.0  # recordings that show no drift [s]
-_DRIFT_PPM, _DRIFT_TOTAL = 200.0, 0.005  # worth telling [1e-6], [s]
+_MIN_DURATION_S = 10.0  # recordings that show no drift [s]
+_MIN_DRIFT_S = 0.005  # over a recording that is worth a remark [s]
 
 
 def check_values(evidence: Evidence) -> Finding:
     """Count the samples that hold no usable number."""
     code, title = "imu-values", "values"
     values = np.concatenate([evidence.imu.gyro, evidence.imu.accel], axis=1)
-    bad = np.flatnonzero(~np.all(np.abs(values) < LARGEST, axis=1))
+    bad = np.flatnonzero(~np.all(np.abs(values) < MAX_VALUE, axis=1))
     share = len(bad) / max(1, len(values))
     numbers = (Number(name="unusable samples", value=share, limit=0.0),)
     if len(values) == 0:
@@ -67,7 +64,7 @@ def check_clock(evidence: Evidence) -> Finding:
             evidence="the header stamps do not advance, so the times of reception are used, which jitter",
             remedy="let the driver fill header.stamp with the time of measurement",
         )
-    if len(imu) < _FEWEST:
+    if len(imu) < _MIN_SAMPLES:
         return Finding(code=code, title=title, verdict="unknown", evidence=f"{len(imu)} samples are too few to tell")
     steps, sizes = clock_steps(imu)
     if len(steps):
@@ -84,12 +81,16 @@ def check_clock(evidence: Evidence) -> Finding:
                 "synchronise before recording, not during it (NTP or PTP must slew, not step), or stamp with the "
                 "sensor's own counter; split this recording at the jump with --start and --duration"
             ),
-            numbers=(Number(name="largest step", value=largest, unit="s", limit=STEP),),
+            numbers=(Number(name="largest step", value=largest, unit="s", limit=CLOCK_STEP),),
             stamps_ns=_some(imu.stamps_ns[steps]),
         )
     ppm, sigma, span = clock_drift(imu)
-    numbers = (Number(name="drift", value=ppm, unit="ppm", limit=_DRIFT_PPM),)
-    if span >= _SHORT and abs(ppm) > max(_DRIFT_PPM, 5 * sigma) and abs(ppm) * 1e-6 * span > _DRIFT_TOTAL:
+    numbers = (Number(name="drift", value=ppm, unit="ppm", limit=evidence.config.max_drift_ppm),)
+    if (
+        span >= _MIN_DURATION_S
+        and abs(ppm) > max(evidence.config.max_drift_ppm, 5 * sigma)
+        and abs(ppm) * 1e-6 * span > _MIN_DRIFT_S
+    ):
         return Finding(
             code=code,
             title=title,
@@ -98,7 +99,7 @@ def check_clock(evidence: Evidence) -> Finding:
             remedy="synchronise the sensors (PTP, PPS); `heliograph calibrate` estimates offset and drift to the LiDAR",
             numbers=numbers,
         )
-    if span < _SHORT:
+    if span < _MIN_DURATION_S:
         text = f"header stamps and times of reception run alike; {span:.1f} s are too short for a drift"
         return Finding(code=code, title=title, verdict="ok", evidence=text)
     text = f"header stamps and times of reception run alike, {ppm:+.0f} ppm over {span:.0f} s"
@@ -139,7 +140,7 @@ def check_order(evidence: Evidence) -> Finding:
 def check_gaps(evidence: Evidence) -> Finding:
     """Find pauses, and count the samples missing in them and elsewhere."""
     code, title, stamps = "imu-gaps", "gaps", evidence.batch.stamps_ns
-    if len(stamps) < _FEWEST:
+    if len(stamps) < _MIN_SAMPLES:
         return Finding(code=code, title=title, verdict="unknown", evidence=f"{len(stamps)} samples are too few to tell")
     steps = np.diff(stamps) * 1e-9
     period = period_s(evidence.batch)
@@ -153,12 +154,12 @@ def check_gaps(evidence: Evidence) -> Finding:
     longest = float(steps[gaps].max()) if len(gaps) else 0.0
     numbers = (
         Number(name="longest gap", value=longest, unit="s", limit=_GAP_PERIODS * period),
-        Number(name="missing samples", value=share, limit=_MISSED_WARN),
+        Number(name="missing samples", value=share, limit=evidence.config.warn_missing),
     )
-    if not len(gaps) and share <= _MISSED_WARN:
+    if not len(gaps) and share <= evidence.config.warn_missing:
         text = f"no step is longer than {_GAP_PERIODS:g} periods, {missing:.0f} samples are missing"
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
-    severe = longest > _GAP_FAIL or share > _MISSED_FAIL
+    severe = longest > evidence.config.max_gap or share > evidence.config.max_missing
     pauses = f"{len(gaps)} gaps, the longest {longest:.3f} s; " if len(gaps) > 1 else ""
     pauses = pauses or (f"a gap of {longest:.3f} s; " if len(gaps) else "")
     return Finding(
@@ -175,15 +176,15 @@ def check_gaps(evidence: Evidence) -> Finding:
 def check_jitter(evidence: Evidence) -> Finding:
     """Measure how unevenly the stamps are spaced: half the distance from the 5th to the 95th percentile."""
     code, title, stamps = "imu-jitter", "spacing of stamps", evidence.batch.stamps_ns
-    if len(stamps) < _FEWEST:
+    if len(stamps) < _MIN_SAMPLES:
         return Finding(code=code, title=title, verdict="unknown", evidence=f"{len(stamps)} samples are too few to tell")
     steps = np.diff(stamps) * 1e-9
     period = period_s(evidence.batch)
     low, high = np.quantile(steps[steps < _MISSED_PERIODS * period * 2], [0.05, 0.95])
     spread = float(high - low) / 2.0 / period
-    numbers = (Number(name="spread", value=spread, unit="periods", limit=_SPREAD_WARN),)
+    numbers = (Number(name="spread", value=spread, unit="periods", limit=evidence.config.max_jitter),)
     text = f"steps lie between {1e3 * low:.2f} and {1e3 * high:.2f} ms (5 to 95 %) around {1e3 * period:.2f} ms"
-    if spread <= _SPREAD_WARN:
+    if spread <= evidence.config.max_jitter:
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
     return Finding(
         code=code,
@@ -198,17 +199,17 @@ def check_jitter(evidence: Evidence) -> Finding:
 def check_rate(evidence: Evidence) -> Finding:
     """Judge the rate of the samples."""
     code, title, stamps = "imu-rate", "rate", evidence.batch.stamps_ns
-    if len(stamps) < _FEWEST:
+    if len(stamps) < _MIN_SAMPLES:
         return Finding(code=code, title=title, verdict="unknown", evidence=f"{len(stamps)} samples are too few to tell")
     rate = 1.0 / period_s(evidence.batch)
-    numbers = (Number(name="rate", value=rate, unit="Hz", limit=_RATE_WARN),)
+    numbers = (Number(name="rate", value=rate, unit="Hz", limit=evidence.config.good_rate),)
     text = f"{rate:.1f} samples a second over {(stamps[-1] - stamps[0]) * 1e-9:.1f} s"
-    if rate >= _RATE_WARN:
+    if rate >= evidence.config.good_rate:
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
     return Finding(
         code=code,
         title=title,
-        verdict="fail" if rate < _RATE_FAIL else "warn",
+        verdict="fail" if rate < evidence.config.min_rate else "warn",
         evidence=f"{text}: between two samples the motion is a guess",
         remedy="raise the IMU's output rate to 100 Hz or more (200 Hz for hand-held and legged motion)",
         numbers=numbers,
@@ -216,7 +217,7 @@ def check_rate(evidence: Evidence) -> Finding:
 
 
 def _some(stamps_ns: NDArray[np.int64]) -> tuple[int, ...]:
-    return tuple(int(stamp) for stamp in stamps_ns[:_SHOWN])
+    return tuple(int(stamp) for stamp in stamps_ns[:_MAX_LISTED])
 
 
 def times(count: int) -> str:

@@ -12,7 +12,7 @@ from heliograph.data import ImuBatch
 from heliograph.lie import interpolate_se3, se3, so3
 
 __all__ = [
-    "LARGEST",
+    "MAX_VALUE",
     "Forces",
     "Turns",
     "forces_over",
@@ -26,9 +26,9 @@ __all__ = [
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
-LARGEST = 1e5  # in any unit; beyond it a message is damaged
-_BUNDLE = 8  # samples that a driver may send at once
-_LONGEST_GAP = 0.1  # of the IMU within a comparison [s]
+MAX_VALUE = 1e5  # in any unit; beyond it a message is damaged
+_MAX_BUNDLE = 8  # samples that a driver may send at once
+_MAX_GAP_S = 0.1  # of the IMU within a comparison [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +44,7 @@ class Turns:
     first : (N,) int64
         The scan that each begins with.
     overlap : int
-        Windows that share each instant: of so many rows one is independent.
+        Windows that share each instant: one row in ``overlap`` is independent.
     """
 
     imu: Array
@@ -94,7 +94,7 @@ def usable(imu: ImuRecord) -> ImuBatch:
     """Return the samples that an estimator would be given: finite, in SI units, with stamps that advance."""
     stamps = imu.stamps_ns if imu.stamp == "header" else imu.received_ns
     values = np.concatenate([imu.gyro, imu.accel], axis=1)
-    whole = np.flatnonzero(np.all(np.abs(values) < LARGEST, axis=1))  # NaN fails the comparison
+    whole = np.flatnonzero(np.all(np.abs(values) < MAX_VALUE, axis=1))  # NaN fails the comparison
     before = np.concatenate([[np.iinfo(np.int64).min], np.maximum.accumulate(stamps[whole])[:-1]])[: len(whole)]
     kept = whole[stamps[whole] > before]
     return ImuBatch(
@@ -110,7 +110,7 @@ def period_s(batch: ImuBatch) -> float:
 
     The median over a few steps at a time, so that samples which come in bundles do not hide it.
     """
-    many = min(_BUNDLE, len(batch) - 1)
+    many = min(_MAX_BUNDLE, len(batch) - 1)
     if many < 1:
         return 0.0
     return float(np.median(batch.stamps_ns[many:] - batch.stamps_ns[:-many])) * 1e-9 / many
@@ -140,7 +140,7 @@ def _windows(batch: ImuBatch, motion: CheckedMotion, span: int) -> NDArray[np.in
         return np.zeros(0, np.int64)
     first = np.arange(count)
     steps = np.diff(batch.stamps_ns)
-    longest = max(_LONGEST_GAP, 1.5 * period_s(batch))
+    longest = max(_MAX_GAP_S, 1.5 * period_s(batch))
     torn = np.concatenate([[0], np.cumsum(steps > longest * 1e9)])
     index = np.clip(np.searchsorted(batch.stamps_ns, stamps), 0, len(batch) - 1)
     inside = (stamps >= batch.stamps_ns[0]) & (stamps <= batch.stamps_ns[-1])
@@ -180,7 +180,7 @@ def forces_over(batch: ImuBatch, motion: CheckedMotion, span: int) -> Forces | N
     turned = np.einsum("nab,nc->nabc", T[:, :3, :3], batch.accel[within]).reshape(-1, 27)
     around = (seconds - 0.5 * motion.sweep, seconds, seconds + 0.5 * motion.sweep)
     at = (batch.stamps_ns[within] - stamps[0]) * 1e-9
-    early, middle, late = (_twice_integrated(at, turned, when) for when in around)
+    early, middle, late = (_integrate_twice(at, turned, when) for when in around)
     twice = (early + 4.0 * middle + late) / 6.0  # the mean over a sweep, as the LiDAR's position is one
 
     def second_difference(values: Array) -> Array:
@@ -201,7 +201,7 @@ def forces_over(batch: ImuBatch, motion: CheckedMotion, span: int) -> Forces | N
     )
 
 
-def _twice_integrated(seconds: Array, values: Array, at: Array) -> Array:
+def _integrate_twice(seconds: Array, values: Array, at: Array) -> Array:
     """Return the second integral of sampled values at the times ``at``: piecewise linear values, exact between them."""
     step = np.diff(seconds)[:, None]
     slope = np.diff(values, axis=0) / step

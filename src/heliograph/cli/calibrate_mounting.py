@@ -38,7 +38,7 @@ def mounting_command(
 
     if (folder / _EXTRINSIC).exists() and not overwrite:
         raise OutputError(f"{folder} holds a calibration already; choose another with -o or add --overwrite")
-    found, warnings = _found(paths, config, folder)
+    found, warnings = _calibrate(paths, config, folder)
     facts = {**calibration_facts(found), "warnings": warnings, "folder": str(folder), "files": [_EXTRINSIC, _FACTS]}
     try:
         _write(folder, found, facts)
@@ -58,7 +58,7 @@ def _tell(found: Calibration, facts: dict[str, Any], *, json: bool, quiet: bool)
     _show(found, facts)
 
 
-def _found(paths: list[Path], config: RunConfig, folder: Path) -> tuple[Calibration, list[str]]:
+def _calibrate(paths: list[Path], config: RunConfig, folder: Path) -> tuple[Calibration, list[str]]:
     """Calibrate a recording; return what was found, and what to warn of."""
     from contextlib import closing
 
@@ -73,9 +73,9 @@ def _found(paths: list[Path], config: RunConfig, folder: Path) -> tuple[Calibrat
         with closing(pipeline.messages(recording, frozenset({"lidar", "imu"}), threads)) as stream:
             found = find(stream, recording.rig, config, threads=threads)
         warnings = [e.message for e in recording.events if e.severity != "info" and e.code != "unknown-mount"]
-    if not found.settled:
+    if not found.converged:
         warnings.append(
-            f"the rounds had not settled after {found.passes}: take the sigmas with care, or allow more with "
+            f"the rounds had not converged after {found.passes}: take the sigmas with care, or allow more with "
             "--set calibration.passes=12"
         )
     return found, warnings
@@ -124,7 +124,7 @@ def calibration_facts(found: Calibration) -> dict[str, Any]:
         "duration_s": found.duration,
         "scans": found.scans,
         "passes": found.passes,
-        "settled": found.settled,
+        "converged": found.converged,
     }
 
 

@@ -78,10 +78,10 @@ def calibrate_noise(paths: list[Path], config: RunConfig, folder: Path) -> tuple
     OutputError
         A file cannot be written.
     """
-    return _written(*_measured(paths, config, folder), config, folder)
+    return _write_files(*_measure(paths, config, folder), config, folder)
 
 
-def _measured(paths: list[Path], config: RunConfig, folder: Path) -> tuple[NoiseCalibration, str, list[Event]]:
+def _measure(paths: list[Path], config: RunConfig, folder: Path) -> tuple[NoiseCalibration, str, list[Event]]:
     """Return the result, the recording's name, and its own warnings."""
     from heliograph.atomic import check_output_directory
     from heliograph.calibration.noise import calibrate_noise as measure
@@ -95,7 +95,7 @@ def _measured(paths: list[Path], config: RunConfig, folder: Path) -> tuple[Noise
     return measure(imu, config.imu), name, warnings
 
 
-def _written(
+def _write_files(
     result: NoiseCalibration, name: str, warnings: list[Event], config: RunConfig, folder: Path
 ) -> tuple[list[str], dict[str, Any]]:
     """Write the files; return lines and facts."""
@@ -206,7 +206,7 @@ def _evidence(result: NoiseCalibration) -> str:
 
 def _value(value: float | None, sigma: float | None, upper: float, unit: str = "") -> str:
     if value is not None and sigma is not None:
-        # As many digits as the sigma leaves meaning to, but not so many that the eye gives up.
+        # As many digits as the sigma leaves meaning to, but few enough to read.
         digits = min(max(math.ceil(math.log10(value / sigma)) + 1, 2), 5) if 0.0 < sigma < value else 2
         return f"{value:#.{digits}g} ±{sigma:.1g} {unit}".rstrip()
     return f"not seen (< {upper:.2g})" if 0.0 < upper < float("inf") else "not seen"
@@ -226,7 +226,7 @@ def _rest_table(result: NoiseCalibration) -> list[str]:
         )
     unclear = [_AXES[k] for k, channel in enumerate(result.rest.channels) if not channel.told_apart]
     remark = f"{', '.join(unclear)}: a slow drift is seen, but flicker and walk cannot be told apart; record longer"
-    return [*_aligned(rows), *([remark] if unclear else [])]
+    return [*_align_columns(rows), *([remark] if unclear else [])]
 
 
 def _motion_table(result: NoiseCalibration) -> list[str]:
@@ -240,14 +240,14 @@ def _motion_table(result: NoiseCalibration) -> list[str]:
         rows.append([name, white, f"{motion.band[k, 0]:.3g} to {motion.band[k, 1]:.3g} Hz", f"{motion.loud[k]:.3g}"])
     for k, (sensor, unit) in enumerate(TERM_UNITS["white"].items()):
         rows.insert(1 + 4 * k, [sensor, f"[{unit}]", "", f"[{unit}]"])
-    return _aligned(rows)
+    return _align_columns(rows)
 
 
 def _motion_upper(motion: Any, k: int) -> float:  # noqa: ANN401 - WhiteFloor, imported for types only
     return float(motion.density[k] + 1.645 * motion.sigma[k])
 
 
-def _aligned(rows: list[list[str]]) -> list[str]:
+def _align_columns(rows: list[list[str]]) -> list[str]:
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 

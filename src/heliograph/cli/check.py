@@ -127,13 +127,13 @@ def _table(console: Console, findings: tuple[Finding, ...]) -> None:
         color = _COLORS[finding.verdict]
         text = escape(finding.evidence) + (f"\n[{color}]-> {escape(finding.remedy)}[/]" if finding.remedy else "")
         decided = finding.numbers[0] if finding.numbers else None
-        table.add_row(escape(finding.title), f"[{color}]{finding.verdict}[/]", *_measured(decided), text)
+        table.add_row(escape(finding.title), f"[{color}]{finding.verdict}[/]", *_value_text(decided), text)
     console.print()
     console.print(table)
     console.print()
 
 
-def _measured(number: Number | None) -> tuple[str, str]:
+def _value_text(number: Number | None) -> tuple[str, str]:
     """Return value and limit in words."""
     if number is None or number.value is None:
         return "", ""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Incremental", "solve_incrementally"]
 
-_CONVERGED = 1e-9  # longest element of a step at the end [rad, m]
+_STEP_TOLERANCE = 1e-9  # longest element of a step at the end [rad, m]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +58,7 @@ def solve_incrementally(graph: FactorGraph, values: Values, settings: ISAM2Setti
         gc.unfreeze()
     last = Problem(graph, smoother.estimate()).cost()
     begin = time.perf_counter()
-    finish = smoother.update(iterate=_CONVERGED)
+    finish = smoother.update(iterate=_STEP_TOLERANCE)
     finish_seconds = time.perf_counter() - begin
     found = smoother.estimate()
     final = Problem(graph, found).cost()

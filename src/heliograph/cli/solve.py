@@ -111,7 +111,7 @@ def solve(
     for note in task.notes:
         print(f"note: {note}", file=sys.stderr)
     settings = ISAM2Settings(relinearize_skip=skip, relinearize_threshold=threshold, wildfire=wildfire)
-    solution = _minimised(task, solver, settings, chordal=init is Init.chordal, threads=threads)
+    solution = _minimise(task, solver, settings, chordal=init is Init.chordal, threads=threads)
     if json and init is not Init.chordal and solution.start != "given" and solver is not Solver.isam2:
         print(f"note: start: {solution.start}", file=sys.stderr)
     written = _write(task, solution, output, plot, title=graph.stem)
@@ -121,7 +121,7 @@ def solve(
     typer.echo(jsonlib.dumps(facts, allow_nan=False) if json else "\n".join(_lines(facts)))
 
 
-def _minimised(
+def _minimise(
     task: _Task, solver: Solver, settings: ISAM2Settings, *, chordal: bool, threads: int
 ) -> Solution | Incremental:
     from heliograph.cli.incremental import solve_incrementally

@@ -42,7 +42,7 @@ def deskew(
     reference : int
         Index into the path of the instant to express the points at: -1 its end, 0 its start.
     threads : int
-        Of the native loop; the result does not depend on it.
+        Threads of the native loop; the result does not depend on it.
 
     Returns
     -------

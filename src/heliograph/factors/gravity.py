@@ -1,4 +1,4 @@
-"""What a factor is told of gravity: a known vector, or the key of a variable that holds its direction or all of it."""
+"""How a factor gets gravity: a known vector, or the key of a variable that holds its direction or all of it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class GravityDirection:
     Parameters
     ----------
     key : int
-        Of an `S2` variable: the direction in which things fall, in the world frame.
+        Key of an `S2` variable: the direction in which things fall, in the world frame.
     magnitude : float
         [m/s^2].
     """
@@ -39,7 +39,7 @@ class GravityVector:
     Parameters
     ----------
     key : int
-        Of a vector variable of dimension 3: gravity in the world frame [m/s^2].
+        Key of a vector variable of dimension 3: gravity in the world frame [m/s^2].
     """
 
     key: int

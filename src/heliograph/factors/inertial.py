@@ -2,7 +2,7 @@
 
 The residual is ``Log(delta(b)^-1 . (X_i^-1 X_j without gravity))`` on SE_2(3): the very perturbation whose covariance
 preintegration gives. Within the linear range of the biases the motion is corrected to first order; outside it is
-integrated anew from the samples, which the factor keeps.
+integrated again from the samples, which the factor keeps.
 """
 
 from __future__ import annotations
@@ -94,11 +94,11 @@ class PreintegratedImu(_Inertial):
     bias : int or (N,) int
         Keys of the biases, vectors of dimension 6: gyroscope [rad/s], then accelerometer [m/s^2].
     motion : Preintegration
-        Of N intervals; its covariance is the factors' noise.
+        Preintegrated motion of N intervals; its covariance is the factors' noise.
     gravity : (3,) float64 or GravityDirection or GravityVector
         In the world frame: known [m/s^2], or estimated, in direction or in full; then its key is the last variable.
     keep_samples : bool
-        Keep the samples to integrate anew outside the biases' linear range; without them the correction to first order
+        Keep the samples to integrate again outside the biases' linear range; without them the correction to first order
         has to do, and the factor is small.
     kernel : Kernel, optional
         For robust costs.

@@ -17,7 +17,7 @@ class LidarPose(Factor):
     """A registered sweep: ``r = Log(Z^-1 X(c) E)``, eq. (3) of docs/theory/calibration.md.
 
     Z is the measured ``T_odom_lidar``, E the mounting ``T_imu_lidar``. X is the motion at the instant of the sweep as
-    the clock was believed when the inertial samples were integrated; X(c) carries it along its own rate and velocity
+    the clock was estimated when the inertial samples were integrated; X(c) carries it along its own rate and velocity
     by what the clock has changed since, ``c = offset + span drift``, so that the factor stays exact while c is small
     against the motion's own times.
 

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 LINEAR_SHARE = 0.02
 """Share of a standard deviation that the first-order correction of the biases may be off before it is given up."""
 
-_FEWEST = 16  # rows of samples; numbers of rows are powers of two, so that factors of alike intervals are one group
+_MIN_ROWS = 16  # rows of samples; numbers of rows are powers of two, so that factors of alike intervals are one group
 
 
 def motion_rows(motion: Preintegration) -> Array:
@@ -46,8 +46,8 @@ def kept_samples(motion: Preintegration) -> Array:
     Unused rows are zero. Stamps within an interval are exact in doubles.
     """
     first, last = _sample_range(motion)
-    most = int((last - first).max(initial=0))
-    size = max(_FEWEST, 1 << (most - 1).bit_length()) if len(motion) else _FEWEST
+    max_rows = int((last - first).max(initial=0))
+    size = max(_MIN_ROWS, 1 << (max_rows - 1).bit_length()) if len(motion) else _MIN_ROWS
     rows = first[:, None] + np.arange(size)
     used, rows = rows < last[:, None], np.minimum(rows, len(motion.imu) - 1)
     out = np.concatenate(

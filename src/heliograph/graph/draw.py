@@ -21,7 +21,7 @@ __all__ = ["plot_poses", "to_dot"]
 
 Array = NDArray[np.float64]
 
-_MOST_VARIABLES = 500
+_MAX_VARIABLES = 500
 _ODOMETRY, _LOOP, _POINT = "#1f4e79", "#e0a15e", "#4d4d4d"
 
 
@@ -42,9 +42,9 @@ def to_dot(graph: FactorGraph, *, names: Mapping[int, str] | None = None) -> str
     """
     records = list(graph)
     keys = np.unique(np.concatenate([record.keys.ravel() for record in records])) if records else np.empty(0, np.int64)
-    if len(keys) > _MOST_VARIABLES:
+    if len(keys) > _MAX_VARIABLES:
         raise GraphError(
-            f"a graph of {len(keys)} variables cannot be read as a picture of circles (at most {_MOST_VARIABLES}); "
+            f"a graph of {len(keys)} variables cannot be read as a picture of circles (at most {_MAX_VARIABLES}); "
             "draw a part of it, or plot its poses with plot_poses"
         )
     held = set(graph.fixed.tolist())

@@ -66,7 +66,7 @@ class InfoReport:
     events : tuple of Event
         Warnings.
     fields : tuple of str
-        Of the point cloud.
+        Fields of the point cloud.
     points_per_scan : float
         Mean as stored.
     frames : tuple of str

@@ -26,9 +26,9 @@ from heliograph.io.tally import StreamTally
 
 __all__ = ["Recording", "open_recording"]
 
-_FURTHEST_DRIFT = 0.02  # that a clock found at another time may have gone since [s]
+_MAX_CLOCK_DRIFT_S = 0.02  # by which a clock found at another time may have drifted since [s]
 _WATCH_EVERY = 1000  # samples
-BATCH = 256  # samples; bounds how long an estimator waits where no scan comes
+MAX_BATCH = 256  # samples; bounds how long an estimator waits where no scan comes
 Measurement = Scan | ImuBatch | GnssFix
 
 
@@ -86,7 +86,7 @@ class Recording:
     rig : Rig
         The LiDAR on the IMU.
     sensors : frozenset of str
-        Of ``"lidar"``, ``"imu"``, ``"gnss"``.
+        What the recording holds: ``"lidar"``, ``"imu"``, ``"gnss"``.
     """
 
     def __init__(self, source: RawSource, interpretation: Interpretation, config: InputConfig) -> None:
@@ -175,7 +175,7 @@ class Recording:
             if isinstance(message, RawImu):
                 if self._accept_imu(message):
                     pending.append(message)
-                if len(pending) >= BATCH:
+                if len(pending) >= MAX_BATCH:
                     yield self._batch(pending)
                     pending = []
                 continue
@@ -363,7 +363,7 @@ class Recording:
 def _require_recent(clock: ImuClock, start_ns: int) -> None:
     """Refuse a clock's drift carried on from too long ago: by now the offset may be anything."""
     away = (start_ns - clock.reference_ns) * 1e-9
-    if abs(clock.drift * away) > _FURTHEST_DRIFT:
+    if abs(clock.drift * away) > _MAX_CLOCK_DRIFT_S:
         raise ConfigError(
             f"the clock of the extrinsic file was found {abs(away) / 3600.0:.1f} h from this recording, in which its "
             f"drift of {1e6 * clock.drift:.1f} ppm adds up to {clock.drift * away:+.3f} s: calibrate this recording, "

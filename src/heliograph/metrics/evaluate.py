@@ -39,7 +39,7 @@ class Evaluation:
     duration : float
         From the first to the last compared pose [s].
     path_length : float
-        Of the whole reference [m].
+        Path length of the whole reference [m].
     absolute : AbsoluteError
         After alignment.
     relative : RelativeError
@@ -87,7 +87,7 @@ def evaluate(
     Parameters
     ----------
     estimate, reference : Trajectory
-        Of the same body, in any two fixed frames.
+        Trajectories of the same body, in any two fixed frames.
     align : str
         ``"se3"``, ``"yaw"``, ``"origin"`` or ``"none"``; see `heliograph.metrics.align`.
     delta : float

@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 # Half an edge along the diagonal: a wall on the boundary of one grid's cells lies in the middle of the other's.
 _SHIFTS = (0.0, 0.5)
 # A standard deviation below this is no property of a map [m]; it keeps the entropy of an exact plane finite.
-_FLOOR = 1e-3
-_BITS = 21
+_MIN_SIGMA_M = 1e-3
+_INDEX_BITS = 21
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +94,7 @@ def map_sharpness(points: NDArray[np.floating], radius: float = 0.5, *, min_poin
             f"no cube of {2.0 * radius:g} m holds {min_points} of the {len(cloud)} points; give a larger radius or a "
             "denser map"
         )
-    entropy = 0.5 * np.log(2.0 * np.pi * np.e * np.maximum(eigenvalues, _FLOOR**2)).sum(axis=1)
+    entropy = 0.5 * np.log(2.0 * np.pi * np.e * np.maximum(eigenvalues, _MIN_SIGMA_M**2)).sum(axis=1)
     plane_variance = float(np.average(np.maximum(eigenvalues[:, 0], 0.0), weights=counts))
     return MapSharpness(
         entropy=float(np.average(entropy, weights=counts)),
@@ -110,13 +110,13 @@ def _grid(cloud: NDArray[np.floating], edge: float, shift: float, min_points: in
     """Return the point counts (K,) and ascending covariance eigenvalues (K, 3) of one grid's full enough cells."""
     scaled = cloud / edge + shift
     cells = np.floor(scaled)
-    if len(cells) and np.abs(cells).max() >= 2 ** (_BITS - 1):
+    if len(cells) and np.abs(cells).max() >= 2 ** (_INDEX_BITS - 1):
         far = np.abs(cloud).max()
         raise DataError(f"points lie {far:.3g} m out, too far for cells of {edge:g} m; remove the outliers")
     # Within its cell a point needs few digits: sums of squares lose nothing, however far out the map lies.
     inside = (scaled - cells - 0.5).astype(np.float64)
-    index = cells.astype(np.int64) + 2 ** (_BITS - 1)
-    key = (index[:, 0] << (2 * _BITS)) | (index[:, 1] << _BITS) | index[:, 2]
+    index = cells.astype(np.int64) + 2 ** (_INDEX_BITS - 1)
+    key = (index[:, 0] << (2 * _INDEX_BITS)) | (index[:, 1] << _INDEX_BITS) | index[:, 2]
     order = np.argsort(key, kind="stable")
     starts = np.flatnonzero(np.diff(key[order], prepend=-1))
     counts = np.diff(starts, append=len(key))

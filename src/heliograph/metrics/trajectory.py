@@ -38,7 +38,7 @@ __all__ = [
 Array = NDArray[np.float64]
 ALIGNMENTS = ("se3", "yaw", "origin", "none")
 # Positions that spread less than this across their main direction do not determine a rotation.
-_SPREAD = 1e-6
+_MIN_SPREAD = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,9 +75,9 @@ class AbsoluteError:
     n : int
         Poses compared.
     rmse, mean, median, max : float
-        Of the position error [m].
+        Statistics of the position error [m].
     rotation_rmse_deg : float
-        Of the angle between the orientations [deg].
+        Root mean square of the angle between the orientations [deg].
     T_reference_estimate : (4, 4) float64
         The alignment: maps the estimate's fixed frame into the reference's.
     errors : (n,) float64
@@ -107,7 +107,7 @@ class RelativeError:
     translation_rmse, translation_median, translation_max : float
         [m].
     translation_rmse_percent : float
-        Of each pair's own path length [%].
+        Root mean square in percent of each pair's own path length.
     rotation_rmse_deg, rotation_median_deg, rotation_max_deg : float
         [deg].
     """
@@ -134,7 +134,7 @@ def associate(
     Parameters
     ----------
     estimate, reference : Trajectory
-        Of the same body.
+        Trajectories of the same body.
     time_offset : float
         Added to the estimate's stamps first [s].
     max_gap_s : float
@@ -150,11 +150,11 @@ def associate(
     stamps = estimate.stamps_ns + shift_ns
     by_estimate = _period(reference.stamps_ns) * 2.0 < _period(stamps)
     query, dense = (stamps, reference.stamps_ns) if by_estimate else (reference.stamps_ns, stamps)
-    usable = _covered(dense, query, max_gap_ns) if len(dense) else np.zeros(len(query), dtype=bool)
+    usable = _find_covered(dense, query, max_gap_ns) if len(dense) else np.zeros(len(query), dtype=bool)
     if not usable.any():
         raise DataError(_no_overlap(estimate, reference, max_gap_s))
     at = query[usable]
-    travelled = _travelled(reference.T_frame_body)
+    travelled = _path_lengths(reference.T_frame_body)
     return Association(
         stamps_ns=at,
         T_estimate=estimate.T_frame_body[usable] if by_estimate else interpolate_se3(stamps, estimate.T_frame_body, at),
@@ -263,7 +263,7 @@ def best_time_offset(
     Parameters
     ----------
     estimate, reference : Trajectory
-        Of the same body.
+        Trajectories of the same body.
     limit_s : float
         Largest shift considered, either way [s].
     delta : float
@@ -285,10 +285,10 @@ def best_time_offset(
     shifts = np.linspace(-limit_ns, limit_ns, 2 * max(4, int(np.ceil(limit_s / 0.005))) + 1)
     usable = np.ones(len(reference), dtype=bool)
     for shift in (-limit_ns, 0, limit_ns):
-        usable &= _covered(estimate.stamps_ns, reference.stamps_ns - shift, gap_ns)
+        usable &= _find_covered(estimate.stamps_ns, reference.stamps_ns - shift, gap_ns)
     if not usable.any():
         raise DataError(_no_overlap(estimate, reference, max_gap_s))
-    distance = _travelled(reference.T_frame_body)[usable]
+    distance = _path_lengths(reference.T_frame_body)[usable]
     first, second = _pairs(distance, delta)
     if len(first) == 0:
         raise DataError(
@@ -321,7 +321,7 @@ def change_body(trajectory: Trajectory, T_body_new: Array, *, body: str) -> Traj
 
 def path_length(trajectory: Trajectory) -> float:
     """Return the length of the path [m]."""
-    return float(_travelled(trajectory.T_frame_body)[-1]) if len(trajectory) else 0.0
+    return float(_path_lengths(trajectory.T_frame_body)[-1]) if len(trajectory) else 0.0
 
 
 def start_end_gap(trajectory: Trajectory) -> float:
@@ -331,7 +331,7 @@ def start_end_gap(trajectory: Trajectory) -> float:
     return float(np.linalg.norm(trajectory.T_frame_body[-1, :3, 3] - trajectory.T_frame_body[0, :3, 3]))
 
 
-def _covered(stamps_ns: NDArray[np.int64], query_ns: NDArray[np.int64], max_gap_ns: int) -> NDArray[np.bool_]:
+def _find_covered(stamps_ns: NDArray[np.int64], query_ns: NDArray[np.int64], max_gap_ns: int) -> NDArray[np.bool_]:
     """Return which queries lie between two stamps that are near enough to each other, or on one."""
     before = np.searchsorted(stamps_ns, query_ns, side="right") - 1
     after = np.minimum(np.searchsorted(stamps_ns, query_ns, side="left"), len(stamps_ns) - 1)
@@ -351,7 +351,7 @@ def _no_overlap(estimate: Trajectory, reference: Trajectory, max_gap_s: float) -
     )
 
 
-def _travelled(poses: Array) -> Array:
+def _path_lengths(poses: Array) -> Array:
     """Return the path length up to each pose."""
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
@@ -359,7 +359,7 @@ def _travelled(poses: Array) -> Array:
 
 def _rotation_full(cross: Array) -> Array:
     u, spread, vt = np.linalg.svd(cross)
-    if spread[1] < _SPREAD**2:
+    if spread[1] < _MIN_SPREAD**2:
         raise DataError(
             "the positions lie on a straight line or do not move, which leaves the rotation of an se3 alignment open; "
             "align by yaw or by the origin"
@@ -370,7 +370,7 @@ def _rotation_full(cross: Array) -> Array:
 
 def _rotation_yaw(cross: Array) -> Array:
     sine, cosine = cross[1, 0] - cross[0, 1], cross[0, 0] + cross[1, 1]
-    if np.hypot(sine, cosine) < _SPREAD**2:
+    if np.hypot(sine, cosine) < _MIN_SPREAD**2:
         raise DataError("the positions do not move over the ground, which leaves the yaw open; align by the origin")
     return so3.exp([0.0, 0.0, np.arctan2(sine, cosine)])
 

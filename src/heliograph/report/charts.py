@@ -14,8 +14,8 @@ from heliograph.report.svg import Axis, Line, Span, line_chart, nice_ticks, numb
 
 __all__ = ["biases", "eigenvalues", "matching", "motion", "timings", "trajectory", "uncertainty"]
 
-_EVEN = 1.0 / 3.0  # each translation eigenvalue where all directions are seen alike
-_WEAKEST_SHOWN = 1e-3
+_EVEN_SHARE = 1.0 / 3.0  # each translation eigenvalue where all directions are observed alike
+_MIN_SHOWN_SHARE = 1e-3
 _XYZ = ("x", "y", "z")
 VERDICT_WORDS = {
     "degenerate": "a direction unobservable",
@@ -149,7 +149,7 @@ def timings(record: RunRecord) -> str:
 
 
 def trajectory(record: RunRecord, turned: bool) -> str:
-    """Return the path from above, coloured by how well the weakest direction was seen.
+    """Return the path from above, coloured by how well the weakest direction was observed.
 
     Parameters
     ----------
@@ -165,8 +165,8 @@ def trajectory(record: RunRecord, turned: bool) -> str:
     scale = min((width - left - right) / span_x, 520.0 / span_y)
     height = int(max(span_y * scale, 120.0)) + top + bottom
     plot_w, plot_h = (width - left - right) / scale, (height - top - bottom) / scale
-    x_axis = _centred(across, plot_w, left, width - right)
-    y_axis = _centred(up, plot_h, height - bottom, top)
+    x_axis = _centre(across, plot_w, left, width - right)
+    y_axis = _centre(up, plot_h, height - bottom, top)
     parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="Trajectory from above">']
     parts += _equal_grid(x_axis, y_axis, ("−y [m]", "x [m]") if turned else ("x [m]", "y [m]"), height, bottom, left)
     parts += _colored_path(x_axis(across), y_axis(up), _observability(record.scans))
@@ -179,7 +179,7 @@ def trajectory(record: RunRecord, turned: bool) -> str:
     return f'<figure class="panel wide"><figcaption>{caption}</figcaption>{"".join(parts)}</svg></figure>'
 
 
-def _centred(values: NDArray[np.float64], length: float, start: float, end: float) -> Axis:
+def _centre(values: NDArray[np.float64], length: float, start: float, end: float) -> Axis:
     middle = 0.5 * (float(values.min()) + float(values.max()))
     return Axis(low=middle - length / 2, high=middle + length / 2, start=start, end=end)
 
@@ -205,15 +205,15 @@ def _equal_grid(x_axis: Axis, y_axis: Axis, labels: tuple[str, str], height: int
 
 def _observability(scans: ScanTable) -> NDArray[np.int64]:
     """Return each scan's place on the seven-step scale: the weakest eigenvalue on a logarithmic scale up to even."""
-    weakest = np.maximum(scans.triple("eigenvalue_translation")[:, 0], _WEAKEST_SHOWN)
-    share = np.log(weakest / _WEAKEST_SHOWN) / np.log(_EVEN / _WEAKEST_SHOWN)
+    weakest = np.maximum(scans.triple("eigenvalue_translation")[:, 0], _MIN_SHOWN_SHARE)
+    share = np.log(weakest / _MIN_SHOWN_SHARE) / np.log(_EVEN_SHARE / _MIN_SHOWN_SHARE)
     step = np.clip(share * len(OBSERVABILITY), 0, len(OBSERVABILITY) - 1).astype(np.int64)
     untracked = np.array([status in ("degenerate", "predicted", "lost", "empty") for status in scans.statuses])
     return np.where(untracked, 0, step)
 
 
 def _colored_path(x: NDArray[np.float64], y: NDArray[np.float64], step: NDArray[np.int64]) -> list[str]:
-    keep = _moved(x, y)
+    keep = _find_moves(x, y)
     x, y, step = x[keep], y[keep], step[keep]
     parts = []
     for name, first, last in _runs([str(s) for s in step]):
@@ -223,7 +223,7 @@ def _colored_path(x: NDArray[np.float64], y: NDArray[np.float64], step: NDArray[
     return parts
 
 
-def _moved(x: NDArray[np.float64], y: NDArray[np.float64], least: float = 0.7) -> NDArray[np.bool_]:
+def _find_moves(x: NDArray[np.float64], y: NDArray[np.float64], least: float = 0.7) -> NDArray[np.bool_]:
     """Return which pixels lie far enough from the last kept one to be worth drawing; the ends always are."""
     keep = np.zeros(len(x), dtype=bool)
     last = (np.inf, np.inf)

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 _WIDTH, _HEIGHT = 860, 560
 _LEFT, _RIGHT, _TOP, _BOTTOM = 78, 24, 96, 56
-_LETTER = 7.3  # usual width of a bold letter of a guide's name
+_LETTER_WIDTH = 7.3  # usual width of a bold letter of a guide's name
 _STYLE = """
 svg{color-scheme:light dark;--bg:#fff;--ink:#18202b;--soft:#5b6675;--line:#c6ccd5;--grid:#e9ecf0;--fine:#f4f5f8;
 --c1:#2f6fd0;--c2:#1f9d8a;--c3:#c77a12;font-family:system-ui,-apple-system,"Segoe UI",Roboto,"Noto Sans",sans-serif;
@@ -221,7 +221,7 @@ def _name_of(guide: Guide, x_axis: Axis, y_axis: Axis) -> list[str]:
     x, y = float(x_axis(guide.x)), float(y_axis(guide.y))
     # A falling curve leaves the side above its point free, to the right; a level or rising one that below.
     falling = guide.slope < 0.0 and not guide.below
-    anchor = "end" if x + 12.0 + _LETTER * len(guide.name) > _WIDTH - 6.0 else "start"
+    anchor = "end" if x + 12.0 + _LETTER_WIDTH * len(guide.name) > _WIDTH - 6.0 else "start"
     dx = -12.0 if anchor == "end" else 12.0
     above = -10.0 if falling and anchor == "start" else 20.0
     return [

@@ -21,7 +21,7 @@ _ROOF_CELL = 0.5  # [m]
 _ROOF_LEVEL = 0.5  # [m]
 _ROOF_SHARE = 0.08  # of the occupied cells
 _ROOF_CLEARANCE = 1.0  # above the sensor [m]
-_MOST_POINTS = 6_000_000
+_MAX_POINTS = 6_000_000
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class MapPictures:
 
     @property
     def _stride(self) -> int:
-        return max(len(self.record.points_map) // _MOST_POINTS, 1)
+        return max(len(self.record.points_map) // _MAX_POINTS, 1)
 
     @cached_property
     def path(self) -> NDArray[np.float64]:
@@ -74,7 +74,7 @@ class MapPictures:
         # A roof is one level that tops a good part of all occupied cells; trees and facades end at all heights.
         keys = np.floor((self.points[:, :2] - self.points[:, :2].min(axis=0)) / _ROOF_CELL).astype(np.int64)
         span = keys.max(axis=0) + 1
-        if int(span.prod()) > _MOST_POINTS:
+        if int(span.prod()) > _MAX_POINTS:
             return None
         top = np.full(int(span.prod()), -np.inf, dtype=np.float32)
         np.maximum.at(top, keys[:, 0] * span[1] + keys[:, 1], self.points[:, 2])
@@ -106,8 +106,8 @@ class MapPictures:
     @cached_property
     def height_limits(self) -> tuple[float, float]:
         """Ends of the height scale [m]: what is seen from above, without the outlying hundredth."""
-        seen = self.top_raster.nearest[self.top_raster.nearest >= 0]
-        low, high = np.percentile(self.points[seen, 2], [1.0, 99.0]) if len(seen) else (0.0, 1.0)
+        visible = self.top_raster.nearest[self.top_raster.nearest >= 0]
+        low, high = np.percentile(self.points[visible, 2], [1.0, 99.0]) if len(visible) else (0.0, 1.0)
         return float(low), float(max(high, low + 0.1))
 
     @cached_property
@@ -126,9 +126,9 @@ class MapPictures:
 
     def top_png(self) -> bytes:
         """Return the picture from above, by height."""
-        return self._encoded("top", "height")
+        return self._encode("top", "height")
 
-    def _encoded(self, view: str, by: str) -> bytes:
+    def _encode(self, view: str, by: str) -> bytes:
         cache: dict[tuple[str, str], bytes] = self.__dict__.setdefault("_pngs", {})
         if (view, by) not in cache:
             raster = self.top_raster if view == "top" else self.side_raster
@@ -170,7 +170,7 @@ class MapPictures:
     def _figure(self, name: str, by: str, title: str, ramp: str) -> str:
         view = self.top if name == "top" else self.side
         rows, columns = view.shape
-        source = data_uri(self._encoded(name, by))
+        source = data_uri(self._encode(name, by))
         overlay = "".join(self._overlay(view))
         return (
             f'<figure class="shot"><img src="{source}" width="{columns}" height="{rows}" '

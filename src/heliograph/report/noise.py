@@ -73,9 +73,9 @@ def _guides(rest: RestNoise, sensor: str, first: int) -> list[Guide]:
         ("quantisation", "Q", float(tau[0]), -1.0, 3.0**0.5 / float(tau[0]), "slope −1"),
     ):
         values = [rest.channels[k].term(name).value for k in range(first, first + 3)]
-        seen = [value for value in values if value is not None]
-        if seen:
-            value = float(np.sqrt(np.mean(np.square(seen))))
+        known = [value for value in values if value is not None]
+        if known:
+            value = float(np.sqrt(np.mean(np.square(known))))
             # A read-off point outside the record or far below the curves is moved along its line to where it shows.
             at_shown = _shown_at(rest, first, at, value * gain, slope)
             y = value * gain * (at_shown / at) ** slope

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 __all__ = ["data_uri", "encode_png"]
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_LEVEL = 4  # level 6 takes three times as long for 4 % less
+_COMPRESSION = 4  # level 6 takes three times as long for 4 % less
 
 
 def encode_png(image: NDArray[np.uint8]) -> bytes:
@@ -26,7 +26,7 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
     np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
     colour_type = {3: 2, 4: 6}[channels]
     header = struct.pack(">IIBBBBB", width, height, 8, colour_type, 0, 0, 0)
-    body = zlib.compress(filtered.tobytes(), _LEVEL)
+    body = zlib.compress(filtered.tobytes(), _COMPRESSION)
     return _SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", body) + _chunk(b"IEND", b"")
 
 

@@ -19,8 +19,8 @@ __all__ = ["Raster", "View", "color_image", "render", "side_view", "top_view"]
 
 _T = TypeVar("_T", bound=np.generic)
 _MAX_WIDTH, _MAX_HEIGHT = 1440, 900
-_LEAST_SIDE_HEIGHT = 0.12  # of the width
-_MOST_GROWTH = 6
+_MIN_SIDE_HEIGHT = 0.12  # of the width
+_MAX_GROWTH = 6
 _SHADE_STRENGTH = 0.9
 _NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
@@ -91,7 +91,7 @@ def side_view(points: NDArray[np.float32], path: NDArray[np.float64], top: View)
     right, up = top.axes[0], np.array([0.0, 0.0, 1.0])
     axes = np.stack([right, up, np.cross(right, up)])
     # Some sky over a wide flat scene: a strip of a few pixels shows nothing, and the names need room.
-    high[2] = max(high[2], low[2] + _LEAST_SIDE_HEIGHT * top.shape[1] * top.pixel)
+    high[2] = max(high[2], low[2] + _MIN_SIDE_HEIGHT * top.shape[1] * top.pixel)
     return _view(axes, (top.labels[0], "z"), low, high, top.shape[1], _MAX_HEIGHT // 2, pixel=top.pixel)
 
 
@@ -142,13 +142,13 @@ def render(points: NDArray[np.float32], view: View, *, point_size: float = 0.1) 
     front = np.full(height * width, -np.inf, dtype=np.float32)
     front[flat] = depth[order]
     picture, before = nearest.reshape(height, width), front.reshape(height, width)
-    for _ in range(min(round(point_size / (2.0 * view.pixel)), _MOST_GROWTH)):
+    for _ in range(min(round(point_size / (2.0 * view.pixel)), _MAX_GROWTH)):
         picture, before = _grow(picture, before)
     picture, before = _close_gaps(picture, before)
     return Raster(nearest=picture, shade=_shade(before))
 
 
-def _shifted(image: NDArray[_T], step: tuple[int, int], fill: float) -> NDArray[_T]:
+def _shift(image: NDArray[_T], step: tuple[int, int], fill: float) -> NDArray[_T]:
     """Return the image of which pixel (r, c) is the given one's (r, c) + step."""
     moved = np.full_like(image, fill)
     height, width = image.shape
@@ -164,10 +164,10 @@ def _grow(nearest: NDArray[np.int32], front: NDArray[np.float32]) -> tuple[NDArr
     grown_nearest, grown_front = nearest.copy(), front.copy()
     empty = np.isneginf(front)
     for step in _NEIGHBOURS:
-        beside = _shifted(front, step, -np.inf)
+        beside = _shift(front, step, -np.inf)
         take = empty & (beside > grown_front)
         grown_front[take] = beside[take]
-        grown_nearest[take] = _shifted(nearest, step, -1)[take]
+        grown_nearest[take] = _shift(nearest, step, -1)[take]
     return grown_nearest, grown_front
 
 
@@ -178,10 +178,10 @@ def _close_gaps(
     filled_nearest, filled_front = nearest.copy(), front.copy()
     for step in _NEIGHBOURS[:4:2] + _NEIGHBOURS[4:6]:
         opposite = (-step[0], -step[1])
-        one, other = _shifted(front, step, -np.inf), _shifted(front, opposite, -np.inf)
+        one, other = _shift(front, step, -np.inf), _shift(front, opposite, -np.inf)
         take = np.isneginf(filled_front) & ~np.isneginf(one) & ~np.isneginf(other)
         filled_front[take] = one[take]
-        filled_nearest[take] = _shifted(nearest, step, -1)[take]
+        filled_nearest[take] = _shift(nearest, step, -1)[take]
     return filled_nearest, filled_front
 
 
@@ -191,7 +191,7 @@ def _shade(front: NDArray[np.float32]) -> NDArray[np.float32]:
     total = np.zeros_like(front)
     for radius, weight in ((1, 0.6), (3, 0.4)):
         for r, c in _NEIGHBOURS:
-            ahead = _shifted(known, (r * radius, c * radius), np.nan) - known
+            ahead = _shift(known, (r * radius, c * radius), np.nan) - known
             # Beyond a metre in front, further makes no darker: walls would drown the floor beside them.
             total += weight * np.nan_to_num(np.clip(ahead, 0.0, 1.0)) / radius
     shade: NDArray[np.float32] = np.exp(total * np.float32(-_SHADE_STRENGTH / (len(_NEIGHBOURS) * 0.25)))
@@ -203,11 +203,11 @@ def color_image(
 ) -> NDArray[np.uint8]:
     """Return the (H, W, 3) picture of a raster with one value a point put on a colour scale."""
     table = scale(colors)
-    seen = raster.nearest >= 0
-    value = values[raster.nearest[seen]]
+    visible = raster.nearest >= 0
+    value = values[raster.nearest[visible]]
     span = max(limits[1] - limits[0], 1e-9)
     index = np.clip((value - limits[0]) * (255.0 / span), 0, 255).astype(np.uint8)
     image = np.empty((*raster.nearest.shape, 3), dtype=np.uint8)
     image[:] = GROUND
-    image[seen] = (table[index] * raster.shade[seen][:, None]).astype(np.uint8)
+    image[visible] = (table[index] * raster.shade[visible][:, None]).astype(np.uint8)
     return image

@@ -75,10 +75,10 @@ def nice_ticks(low: float, high: float, count: int) -> list[float]:
     return [round(i * step, 12) for i in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-def round_length(most: float) -> float:
-    """Return the largest 1, 2 or 5 times a power of ten that is not above ``most``."""
-    power = 10.0 ** math.floor(math.log10(most))
-    return next(multiple * power for multiple in (5.0, 2.0, 1.0) if multiple * power <= most * (1.0 + 1e-9))
+def round_length(limit: float) -> float:
+    """Return the largest 1, 2 or 5 times a power of ten that is not above ``limit``."""
+    power = 10.0 ** math.floor(math.log10(limit))
+    return next(multiple * power for multiple in (5.0, 2.0, 1.0) if multiple * power <= limit * (1.0 + 1e-9))
 
 
 def number(value: float) -> str:

@@ -60,7 +60,7 @@ class SimulatedLayout:
     frame_id : str
         The driver's default frame.
     dtype : dtype
-        Of one point, padding included.
+        Type of one point, padding included.
     pack : callable
         Sweep, dtype -> PackedCloud.
     """
@@ -77,7 +77,7 @@ def _dtype(fields: _Fields, step: int) -> np.dtype[np.void]:
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": step})
 
 
-def _filled(dtype: np.dtype[np.void], xyz: NDArray[np.float32], **columns: object) -> NDArray[np.void]:
+def _fill(dtype: np.dtype[np.void], xyz: NDArray[np.float32], **columns: object) -> NDArray[np.void]:
     points = np.zeros(len(xyz), dtype)
     points["x"], points["y"], points["z"] = xyz.T
     for name, values in columns.items():
@@ -122,7 +122,7 @@ class _Fired:
         )
 
 
-def _unorganised(stamp_ns: int, points: NDArray[np.void], *, is_dense: bool) -> PackedCloud:
+def _flatten(stamp_ns: int, points: NDArray[np.void], *, is_dense: bool) -> PackedCloud:
     return PackedCloud(stamp_ns=stamp_ns, height=1, width=len(points), points=points, is_dense=is_dense)
 
 
@@ -130,8 +130,8 @@ def _velodyne(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
     """``time`` in seconds from the header's stamp, the first packet's (``timestamp_first_packet: true``)."""
     fired = _Fired.of(sweep)
     time = fired.offsets_ns * 1e-9
-    points = _filled(dtype, fired.xyz, intensity=fired.intensity, ring=fired.ring, time=time)
-    return _unorganised(sweep.stamp_ns, points, is_dense=True)
+    points = _fill(dtype, fired.xyz, intensity=fired.intensity, ring=fired.ring, time=time)
+    return _flatten(sweep.stamp_ns, points, is_dense=True)
 
 
 def _velodyne_negative(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
@@ -139,8 +139,8 @@ def _velodyne_negative(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
     fired = _Fired.of(sweep)
     last = int(sweep.offsets_ns[-1])
     time = (fired.offsets_ns - last) * 1e-9
-    points = _filled(dtype, fired.xyz, intensity=fired.intensity, ring=fired.ring, time=time)
-    return _unorganised(sweep.stamp_ns + last, points, is_dense=True)
+    points = _fill(dtype, fired.xyz, intensity=fired.intensity, ring=fired.ring, time=time)
+    return _flatten(sweep.stamp_ns + last, points, is_dense=True)
 
 
 def _robosense(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
@@ -151,7 +151,7 @@ def _robosense(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
     fired = _Fired.of(sweep, lost=True)
     timestamp = (sweep.stamp_ns + fired.offsets_ns) * 1e-9
     xyz = np.where(np.any(fired.xyz != 0.0, axis=1, keepdims=True), fired.xyz, _NAN)
-    points = _filled(dtype, xyz, intensity=fired.intensity, ring=fired.ring, timestamp=timestamp)
+    points = _fill(dtype, xyz, intensity=fired.intensity, ring=fired.ring, timestamp=timestamp)
     rows, columns = sweep.ranges.shape
     stamp_ns = sweep.stamp_ns + int(sweep.offsets_ns[-1])
     return PackedCloud(stamp_ns=stamp_ns, height=columns, width=rows, points=points, is_dense=False)
@@ -161,15 +161,15 @@ def _hesai(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
     """``timestamp`` in seconds since the epoch, as a double (good to 0.24 us); lost returns are left out."""
     fired = _Fired.of(sweep)
     timestamp = (sweep.stamp_ns + fired.offsets_ns) * 1e-9
-    points = _filled(dtype, fired.xyz, intensity=fired.intensity, ring=fired.ring, timestamp=timestamp)
-    return _unorganised(sweep.stamp_ns, points, is_dense=False)
+    points = _fill(dtype, fired.xyz, intensity=fired.intensity, ring=fired.ring, timestamp=timestamp)
+    return _flatten(sweep.stamp_ns, points, is_dense=False)
 
 
 def _livox_custom(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
     """``offset_time`` in nanoseconds from the message's ``timebase``; lost returns are zeros."""
     fired = _Fired.of(sweep, lost=True)
     columns = {"offset_time": fired.offsets_ns, "reflectivity": fired.intensity, "tag": 0x10, "line": fired.ring}
-    return _unorganised(sweep.stamp_ns, _filled(dtype, fired.xyz, **columns), is_dense=True)
+    return _flatten(sweep.stamp_ns, _fill(dtype, fired.xyz, **columns), is_dense=True)
 
 
 def _livox_pointcloud2(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
@@ -177,12 +177,12 @@ def _livox_pointcloud2(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
     fired = _Fired.of(sweep, lost=True)
     timestamp = (sweep.stamp_ns + fired.offsets_ns).astype(np.float64)
     columns = {"intensity": fired.intensity, "tag": 0x10, "line": fired.ring, "timestamp": timestamp}
-    return _unorganised(sweep.stamp_ns, _filled(dtype, fired.xyz, **columns), is_dense=True)
+    return _flatten(sweep.stamp_ns, _fill(dtype, fired.xyz, **columns), is_dense=True)
 
 
 def _no_time(sweep: Sweep, dtype: np.dtype[np.void]) -> PackedCloud:
     fired = _Fired.of(sweep)
-    return _unorganised(sweep.stamp_ns, _filled(dtype, fired.xyz, intensity=fired.intensity), is_dense=True)
+    return _flatten(sweep.stamp_ns, _fill(dtype, fired.xyz, intensity=fired.intensity), is_dense=True)
 
 
 _CLOUD = "sensor_msgs/msg/PointCloud2"

@@ -16,7 +16,9 @@ __all__ = ["Course", "Gait", "SimulatedMotion", "SpeedProfile", "UniformSpline",
 Array = NDArray[np.float64]
 
 _DEGREE = 5
-_STEP = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])  # rises from 0 to 1 with three vanishing derivatives
+_STEP_COEFFICIENTS = np.array(
+    [0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0]
+)  # rises from 0 to 1 with three vanishing derivatives
 
 
 def _polynomial(coefficients: Array, x: Array, derivative: int) -> Array:
@@ -103,8 +105,11 @@ class SpeedProfile:
         x_stop = np.clip((t - self.stop + self.ramp) / self.ramp, 0.0, 1.0)
         if derivative >= 0:
             scale = self.ramp**-derivative
-            return (_polynomial(_STEP, x_start, derivative) - _polynomial(_STEP, x_stop, derivative)) * scale
-        integral = np.concatenate([[0.0], _STEP / np.arange(1, len(_STEP) + 1)])
+            return (
+                _polynomial(_STEP_COEFFICIENTS, x_start, derivative)
+                - _polynomial(_STEP_COEFFICIENTS, x_stop, derivative)
+            ) * scale
+        integral = np.concatenate([[0.0], _STEP_COEFFICIENTS / np.arange(1, len(_STEP_COEFFICIENTS) + 1)])
         late = np.clip(t - self.rest - self.ramp, 0.0, self.stop - self.rest - self.ramp)
         return self.ramp * (_polynomial(integral, x_start, 0) - _polynomial(integral, x_stop, 0)) + late
 
@@ -151,14 +156,14 @@ class Course:
 
     def sample(self, spacing: float) -> tuple[Array, float]:
         """Return points and unwrapped headings (M, 4) at equal distances near ``spacing``, and that distance."""
-        dense, heading = self._rounded()
+        dense, heading = self._round_corners()
         s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense[:, :2], axis=0), axis=1))])
         count = max(round(float(s[-1]) / spacing), _DEGREE + 1)
         where = np.linspace(0.0, s[-1], count + 1)
         columns = [np.interp(where, s, dense[:, i]) for i in range(3)]
         return np.stack([*columns, np.interp(where, s, heading)], axis=1), float(s[-1] / count)
 
-    def _rounded(self) -> tuple[Array, Array]:
+    def _round_corners(self) -> tuple[Array, Array]:
         """Polyline with arcs in place of its corners, and the unwrapped heading at each of its points."""
         points = np.vstack([self.waypoints, self.waypoints[:1]]) if self.closed else self.waypoints
         legs = np.diff(points, axis=0)

@@ -25,7 +25,7 @@ class Surface:
     Parameters
     ----------
     reflectivity : float
-        Of the brighter cells, in (0, 1].
+        Reflectivity of the brighter cells, in (0, 1].
     contrast : float
         The darker cells reflect ``1 - contrast`` of that, in [0, 1].
     period : float

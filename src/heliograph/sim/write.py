@@ -33,7 +33,7 @@ _TYPES = {
 _POINTS = "/points"
 _IMU_FRAME = "imu_link"
 _BODY_FRAME = "base_link"
-_QUEUE = 64  # messages that wait to be written: about three sweeps with their IMU samples
+_MAX_QUEUE = 64  # messages that wait to be written: about three sweeps with their IMU samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +49,7 @@ class SimulatedRecording:
     sweeps, imu_samples : int
         Messages written.
     duration : float
-        Of the recording [s].
+        Length of the recording [s].
     """
 
     folder: Path
@@ -168,7 +168,7 @@ def _write_bag(
                 topic,
                 kind,
                 typestore=messages.store,
-                offered_qos_profiles=[_latched()] if topic == "/tf_static" else [],
+                offered_qos_profiles=[_latched_qos()] if topic == "/tf_static" else [],
             )
             for topic, kind in types.items()
         }
@@ -181,7 +181,7 @@ def _write_bag(
         ):
             # Compression takes about as long as the simulation, so it runs beside it, at most a few sweeps behind.
             pending.append(pool.submit(writer.write, connections[topic], received_ns, data))
-            if len(pending) > _QUEUE:
+            if len(pending) > _MAX_QUEUE:
                 pending.popleft().result()
             if topic == _POINTS:
                 done += 1
@@ -192,7 +192,7 @@ def _write_bag(
     return done
 
 
-def _latched() -> Qos:
+def _latched_qos() -> Qos:
     """Return the quality of service that late subscribers to /tf_static rely on."""
     forever = QosTime(sec=9223372036, nsec=854775807)
     return Qos(

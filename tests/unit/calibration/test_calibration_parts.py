@@ -119,7 +119,7 @@ def test_direction_that_the_data_tell_little_of_keeps_the_prior():
     observed = observed_with(known)
     assert observed.kept.sum() == 2
     change = np.arange(1.0, 9.0) * 1e-3
-    np.testing.assert_allclose(observed.told(change), change * (known < 0.5), atol=1e-15)
+    np.testing.assert_allclose(observed.observed_part(change), change * (known < 0.5), atol=1e-15)
     prior = prior_sigmas(CONFIG)
     expected = np.where(known < 0.5, known * prior, prior)
     np.testing.assert_allclose(np.sqrt(np.diag(observed.covariance)), expected, rtol=1e-9)

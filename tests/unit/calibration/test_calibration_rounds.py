@@ -21,7 +21,7 @@ def test_calibration_after_general_motion_finds_everything_to_the_bars():
     assert trial.told == 8
     assert np.all(np.abs(trial.error[:7]) < BARS)
     assert abs(trial.error[7]) < 20e-6
-    assert trial.result.settled
+    assert trial.result.converged
 
 
 def test_calibration_finds_the_size_of_the_poses_noise():

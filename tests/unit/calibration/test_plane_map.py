@@ -60,7 +60,7 @@ def test_planes_of_cubes_at_edges_are_left_out():
     def distance(some):  # of each point to the nearest edge
         return np.sort(np.minimum(some - WALLS[1], WALLS[1] + WALLS[0] - some), axis=1)[:, 1]
 
-    kept = points[plane_map.settled(points, np.eye(4), 0.15)[0]]
+    kept = points[plane_map.agreeing_points(points, np.eye(4), 0.15)[0]]
     assert 0.5 < len(kept) / len(points) < 0.95
     assert np.mean(distance(kept) < 0.1) < 0.3 * np.mean(distance(points) < 0.1)
 
@@ -83,7 +83,7 @@ def test_all_points_are_used_where_planes_of_two_sizes_are_too_few():
     rail = np.stack([np.full(3000, 0.24), rng.uniform(0.0, 0.24, 3000), rng.uniform(-0.4, 0.5, 3000)], axis=1)
     points = np.concatenate([strip, rail]).astype(np.float32)
     plane_map.insert(points, np.eye(4))
-    assert plane_map.settled(points, np.eye(4), 0.15)[0].all()
+    assert plane_map.agreeing_points(points, np.eye(4), 0.15)[0].all()
 
 
 def test_equations_are_those_of_turns_and_shifts_along_lidar_axes():

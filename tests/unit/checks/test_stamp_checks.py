@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from heliograph.checks import ImuRecord, check_imu
+from heliograph.config import CheckConfig
 from imu_records import jumped, picked
 
 START = 1_700_000_000_000_000_000
@@ -27,8 +28,8 @@ def usual_delay(at, rng):
     return 0.002 + rng.exponential(0.001, len(at))
 
 
-def found(imu):
-    return {finding.code: finding for finding in check_imu(imu)}
+def found(imu, config=None):
+    return {finding.code: finding for finding in check_imu(imu, config=config)}
 
 
 STAMPS = ("imu-clock", "imu-order", "imu-gaps", "imu-rate", "imu-jitter")
@@ -122,3 +123,23 @@ def test_samples_that_hold_no_numbers_are_told():
 def test_stamps_of_reception_are_told():
     clock = found(replace(record(), stamp="received"))["imu-clock"]
     assert clock.verdict == "warn" and "do not advance" in clock.evidence
+
+
+PAUSED = picked(record(), np.r_[:1000, 1060:4000])  # without 0.3 s
+
+
+@pytest.mark.parametrize(
+    ("imu", "code", "usual", "config", "other"),
+    [
+        (record(rate=60.0), "imu-rate", "warn", CheckConfig(good_rate=50.0), "ok"),
+        (record(rate=60.0), "imu-rate", "warn", CheckConfig(min_rate=70.0), "fail"),
+        (record(jitter=0.001), "imu-jitter", "ok", CheckConfig(max_jitter=0.05), "warn"),
+        (PAUSED, "imu-gaps", "warn", CheckConfig(max_gap=0.2), "fail"),
+        (PAUSED, "imu-gaps", "warn", CheckConfig(max_missing=0.01), "fail"),
+        (record(), "imu-vibration", "warn", CheckConfig(warn_vibration_gyro=1.0), "ok"),
+        (record(), "imu-vibration", "warn", CheckConfig(warn_vibration_accel=0.001, max_vibration_accel=0.01), "fail"),
+    ],
+)
+def test_limits_of_a_verdict_follow_the_configuration(imu, code, usual, config, other):
+    assert found(imu)[code].verdict == usual
+    assert found(imu, config)[code].verdict == other

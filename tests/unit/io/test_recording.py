@@ -136,6 +136,13 @@ def test_recording_without_transforms_says_so(tmp_path):
     assert not recording.rig.known
 
 
+def test_sensor_that_begins_later_than_the_probe_is_not_found(tmp_path):
+    late = keep(drive(), lambda m: m[0] != "/points" or m[2] > T0 + 400_000_000)
+    assert len(scans(read(late, tmp_path)[1])) == 4
+    with pytest.raises(DataError, match="/points holds no usable scan"):
+        read(late, tmp_path, InputConfig(max_probe=0.2))
+
+
 def test_gap_is_counted_and_survived(tmp_path):
     bag = keep(drive(60), lambda m: m[0] == "/tf_static" or not T0 + 2_000_000_000 < m[2] <= T0 + 4_000_000_000)
     recording, items = read(bag, tmp_path)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.graph.model.families import Family
 from heliograph.lie import S2, s2
 
-__all__ = ["MOST_ROWS", "central_differences", "keep_memory"]
+__all__ = ["MAX_ROWS", "central_differences", "keep_memory"]
 
 Array = NDArray[np.float64]
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 _STEP = float(np.cbrt(np.finfo(np.float64).eps))
 
 # Instances times perturbations in one call; more are split, so that a million factors fit into memory.
-MOST_ROWS = 1 << 18
+MAX_ROWS = 1 << 18
 
 
 def keep_memory() -> None:
@@ -39,9 +39,9 @@ def central_differences(
     ----------
     residual : callable
         Takes the stacks of the variables, then those of the data, and returns (M, rows); called once with
-        M = N (1 + 2 sum of dof), or, where that is over `MOST_ROWS`, for as many instances at a time as it allows.
+        M = N (1 + 2 sum of dof), or, where that is over `MAX_ROWS`, for as many instances at a time as it allows.
     families : sequence of Family
-        Of each variable.
+        The family of each variable.
     arrays : sequence of (N, *shape) float64
         Values of the variables.
     data : sequence of (N, ...) float64
@@ -49,12 +49,15 @@ def central_differences(
     """
     count = len(arrays[0])
     copies = 1 + 2 * sum(family.dof for family in families)
-    most = max(1, MOST_ROWS // copies)
+    max_count = max(1, MAX_ROWS // copies)
     parts = [
         _differences(
-            residual, families, [a[first : first + most] for a in arrays], [d[first : first + most] for d in data]
+            residual,
+            families,
+            [a[first : first + max_count] for a in arrays],
+            [d[first : first + max_count] for d in data],
         )
-        for first in range(0, max(count, 1), most)
+        for first in range(0, max(count, 1), max_count)
     ]
     if len(parts) == 1:
         return parts[0]

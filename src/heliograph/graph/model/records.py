@@ -36,11 +36,11 @@ def as_keys(keys: ArrayLike) -> Keys:
     return array.astype(np.int64, copy=False)
 
 
-def key_list(keys: ArrayLike, most: int = 8) -> str:
-    """Return ``key 3`` or ``keys 3, 4`` for a message, cut off after so many."""
+def key_list(keys: ArrayLike, max_keys: int = 8) -> str:
+    """Return ``key 3`` or ``keys 3, 4`` for a message, cut off after ``max_keys``."""
     some = np.atleast_1d(np.asarray(keys)).tolist()
-    more = f" ... ({len(some)} in all)" if len(some) > most else ""
-    return ("key " if len(some) == 1 else "keys ") + ", ".join(map(str, some[:most])) + more
+    more = f" ... ({len(some)} in all)" if len(some) > max_keys else ""
+    return ("key " if len(some) == 1 else "keys ") + ", ".join(map(str, some[:max_keys])) + more
 
 
 def key_columns(kind: str, columns: tuple[ArrayLike, ...]) -> Keys:
@@ -86,11 +86,11 @@ class FactorRecord:
     Attributes
     ----------
     keys : (N, arity) int64
-        Of the variables.
+        Keys of the variables.
     measurement : (N, m) float64
         Packed as the native side reads it.
     rows : int
-        Of one residual.
+        Rows of one residual.
     noise : Noise
         One, or one each.
     kernel : Kernel or None
@@ -148,7 +148,7 @@ class FactorRecord:
         Parameters
         ----------
         data : tuple of (N, ...) float64, optional
-            Of a user's own factor.
+            Data of a user's own factor.
         parts
             The other attributes by name; ``rows=None`` where the class says it.
         """

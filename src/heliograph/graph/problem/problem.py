@@ -60,7 +60,7 @@ class Problem:
     Parameters
     ----------
     graph : FactorGraph
-        Of any factors.
+        Factors of any kind.
     values : Values
         One for every variable of the graph; they are copied.
     threads : int

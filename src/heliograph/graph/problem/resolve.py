@@ -31,9 +31,9 @@ class ResolvedGroup:
     Parameters
     ----------
     code : int
-        Of the residual, as the native side numbers them; 0 for a user's own.
+        Number of the residual on the native side; 0 for a user's own.
     families : tuple of Family
-        Of each variable.
+        The family of each variable.
     variables : (N, arity) int32
         Dense indices: variables count family by family as first inserted, each family in the order of insertion.
     numbers : (N,) int64
@@ -41,11 +41,11 @@ class ResolvedGroup:
     measurement : (N, m) float64
         Packed, C-contiguous.
     rows : int
-        Of one residual.
+        Rows of one residual.
     noise : Whitening
-        Of these factors.
+        Noise of these factors.
     kernel : Kernel or None
-        Of each factor's whitened length.
+        Kernel of each factor's whitened length.
     custom : type or None
         The class of a user's own factors.
     data : tuple of (N, ...) float64
@@ -65,7 +65,7 @@ class ResolvedGroup:
 
     @property
     def kernel_code(self) -> int:
-        """Of the native side; 0: none."""
+        """Number of the kernel on the native side; 0: none."""
         return 0 if self.kernel is None else self.kernel.code
 
     @property
@@ -122,7 +122,7 @@ def gather(group: ResolvedGroup, families: Sequence[Family], packed: Sequence[Ar
     group : ResolvedGroup
         Whose variables.
     families : sequence of Family
-        Of the values, in their order.
+        Families of the values, in their order.
     packed : sequence of (M, storage) float64
         Values of each family.
     """
@@ -145,8 +145,8 @@ def _kind(added: Added) -> Hashable:
 
 
 def _resolve_kind(graph: FactorGraph, values: Values, members: Sequence[Added]) -> list[ResolvedGroup]:
-    keys = _joined([added.record.keys for added in members])
-    numbers = _joined([np.arange(added.first, added.first + len(added.record)) for added in members])
+    keys = _concatenate([added.record.keys for added in members])
+    numbers = _concatenate([np.arange(added.first, added.first + len(added.record)) for added in members])
     dense = values.dense(keys)
     missing = (dense < 0).any(axis=1)
     if missing.any():
@@ -194,13 +194,13 @@ def _group(
     data: tuple[Array, ...] = ()
     if isinstance(record, Factor):
         stacks = [added.record.data for added in members if isinstance(added.record, Factor)]
-        data = tuple(select(_joined(list(items))) for items in zip(*stacks, strict=True))
+        data = tuple(select(_concatenate(list(items))) for items in zip(*stacks, strict=True))
     return ResolvedGroup(
         code=record.type,
         families=families,
         variables=np.ascontiguousarray(select(dense), dtype=np.int32),
         numbers=select(numbers),
-        measurement=select(_joined([added.record.measurement for added in members])),
+        measurement=select(_concatenate([added.record.measurement for added in members])),
         rows=record.rows,
         noise=_noise(members, rows),
         kernel=record.kernel,
@@ -218,10 +218,10 @@ def _noise(members: Sequence[Added], rows: NDArray[np.int64] | None) -> Whitenin
         return first
     width = first.sqrt_information.shape[1]
     spread = [np.broadcast_to(a.whitening.sqrt_information, (len(a.record), width)) for a in members]
-    roots = _joined(spread)
+    roots = _concatenate(spread)
     roots = np.ascontiguousarray(roots if rows is None else roots[rows])
     return Whitening(form=first.form, shared=False, sqrt_information=roots, constrained=first.constrained)
 
 
-def _joined(arrays: list[NDArray[Number]]) -> NDArray[Number]:
+def _concatenate(arrays: list[NDArray[Number]]) -> NDArray[Number]:
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)

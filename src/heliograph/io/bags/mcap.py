@@ -38,7 +38,7 @@ FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = (
 FOOTER_BYTES = 9 + 20 + 8
 RECORD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-NEVER = 2**63 - 1
+END_OF_TIME_NS = 2**63 - 1
 ENCODINGS = {"cdr": "cdr", "ros1": "ros1"}
 DAMAGE = (struct.error, ValueError, IndexError, EOFError, RuntimeError, OSError, OverflowError)
 
@@ -109,7 +109,7 @@ class McapStorage:
         self.path = path
         self.channels: list[Channel] = []
         self.events = events
-        self.start_ns, self.end_ns = NEVER, 0
+        self.start_ns, self.end_ns = END_OF_TIME_NS, 0
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, tuple[str, str, str]] = {}
         self._counts: dict[int, int] = {}
@@ -160,10 +160,10 @@ class McapStorage:
             complete = False
         if not complete:  # the summary, or an optional part of it, is missing or damaged
             self._schemas, self._channels, self._chunks, self._counts = {}, {}, [], {}
-            self.start_ns, self.end_ns = NEVER, 0
+            self.start_ns, self.end_ns = END_OF_TIME_NS, 0
             self._walk()
         self.channels = list(self._by_id().values())
-        if self.start_ns == NEVER:
+        if self.start_ns == END_OF_TIME_NS:
             self.start_ns = 0
 
     def _read_summary(self) -> bool:
@@ -187,7 +187,7 @@ class McapStorage:
                 self._chunks.append(self._chunk_from_index(record))
             elif opcode == STATISTICS:
                 messages, _, _, _, _, chunks, first, last = struct.unpack_from("<QHIIIIQQ", record, 0)
-                self.start_ns, self.end_ns = (first, last) if messages else (NEVER, 0)
+                self.start_ns, self.end_ns = (first, last) if messages else (END_OF_TIME_NS, 0)
                 (length,) = struct.unpack_from("<I", record, 42)
                 self._counts = dict(struct.iter_unpack("<HQ", record[46 : 46 + length]))
                 complete = bool(self._channels) and (messages == 0 or chunks == len(self._chunks) > 0)
@@ -234,7 +234,7 @@ class McapStorage:
 
     def _count_message(self, record: memoryview) -> int:
         key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(record, 0)
-        if time_ns >= NEVER:
+        if time_ns >= END_OF_TIME_NS:
             raise ValueError(f"a message was received at {time_ns} ns")
         self._counts[key] = self._counts.get(key, 0) + 1
         self.start_ns, self.end_ns = min(self.start_ns, time_ns), max(self.end_ns, time_ns)
@@ -285,7 +285,7 @@ class McapStorage:
                 if opcode != MESSAGE:
                     continue
                 key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(record, 0)
-                if key in wanted and start_ns <= time_ns < NEVER:
+                if key in wanted and start_ns <= time_ns < END_OF_TIME_NS:
                     found.append((wanted[key], time_ns, record[MESSAGE_HEAD.size :]))
         except DAMAGE as error:
             self._note_damage(chunk.offset, chunk.length, error)
@@ -300,7 +300,7 @@ class McapStorage:
                 for inner, body in records:
                     if inner == MESSAGE:
                         key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(body, 0)
-                        if key in wanted and start_ns <= time_ns < NEVER:
+                        if key in wanted and start_ns <= time_ns < END_OF_TIME_NS:
                             yield wanted[key], time_ns, body[MESSAGE_HEAD.size :]
         except DAMAGE:
             return  # reported when the file was indexed

@@ -23,7 +23,7 @@ __all__ = ["DECODERS", "KINDS", "Decoder", "point_columns"]
 Decoder = Callable[[str, int, memoryview, str], list[RawMessage]]
 """Topic, time received [ns], payload, encoding -> raw records (one, or one an edge for tf)."""
 
-LARGEST_TRANSFORM = 1e9  # [m]
+MAX_TRANSFORM_M = 1e9  # [m]
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 LIVOX_COLUMNS = {
     "offset_time": ("u4", 0),
@@ -230,7 +230,7 @@ def _decode_tf(topic: str, received_ns: int, payload: memoryview, encoding: str)
         _, parent = cursor.header()
         child = cursor.text()
         values = np.array(cursor.take("7d", 8), dtype=np.float64)
-        if not (np.abs(values) < LARGEST_TRANSFORM).all():
+        if not (np.abs(values) < MAX_TRANSFORM_M).all():
             raise DataError(f"the transform from '{parent}' to '{child}' is not finite")
         T = np.eye(4)
         T[:3, :3] = quaternion_matrix(values[3:])

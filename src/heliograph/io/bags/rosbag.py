@@ -177,7 +177,7 @@ class RosbagSource:
         with path.open("rb") as file:
             head = file.read(16)
         if head.startswith(ZSTD_MAGIC):
-            return self._open_storage(self._unpacked(path))
+            return self._open_storage(self._unpack_copy(path))
         for magic, storage in STORAGES.items():
             if head.startswith(magic):
                 return storage(path, self.events)
@@ -185,7 +185,7 @@ class RosbagSource:
             path, "neither MCAP, ROS bag nor SQLite by its first bytes; check the file's name and download"
         )
 
-    def _unpacked(self, path: Path) -> Path:
+    def _unpack_copy(self, path: Path) -> Path:
         """Return a temporary copy of a zstd-compressed file: readers need to seek."""
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="heliograph-")

@@ -94,13 +94,13 @@ class SqliteStorage:
             for connection, time_ns, data in self._reader.messages(connections, start=start_ns):
                 yield channels[connection.id], time_ns, memoryview(data)
         except ReaderError as error:
-            self._damaged(error)
+            self._damage_event(error)
         except Exception as error:
             # SQLite's own errors have no common base with rosbags'; a defect of ours must not hide behind them.
             if type(error).__module__.split(".")[0] not in ("sqlite3", "apsw", "_sqlite3"):
                 raise
-            self._damaged(error)
+            self._damage_event(error)
 
-    def _damaged(self, error: Exception) -> None:
+    def _damage_event(self, error: Exception) -> None:
         message = f"{self.path.name} is damaged ({error}); what was read before that is used"
         note(self.events, Event(code="truncated", message=message))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.config import InputConfig
 from heliograph.data import Event
-from heliograph.io.inference.record import Inference, inferred
+from heliograph.io.inference.record import Inference, make_inference
 from heliograph.io.raw import RawImu
 
 __all__ = ["GRAVITY", "ImuUnits", "infer_imu_units", "is_usable"]
@@ -18,15 +18,22 @@ __all__ = ["GRAVITY", "ImuUnits", "infer_imu_units", "is_usable"]
 GRAVITY = 9.80665
 ACCEL_UNITS = {"m/s^2": 1.0, "g": GRAVITY}
 GYRO_UNITS = {"rad/s": 1.0, "deg/s": float(np.pi / 180)}
-FASTEST = 40.0  # rad/s; robots' gyros end at 2000 deg/s, which is 35
-ALONG = 0.95  # cosine between rate and vertical in a level bend; the centrifugal force tilts what is measured of it
-QUIET = 0.03  # in the sensor's own unit: the jitter of a gyroscope in deg/s is above, of one in rad/s below
-LARGEST = 1e5  # in any unit; beyond it a message is damaged
+G_MAGNITUDES = (0.3, 3.0)  # median length of the specific force where it counts in g
+SI_MAGNITUDES = (3.0, 30.0)  # and in m/s^2
+MIN_GRAVITY_CORRELATION, MIN_GRAVITY_TURNS = 0.5, 20  # of gravity's turns with the rates, and their number, to judge by
+MAX_REST_RATE = 0.15  # beyond any bias in rad/s, a common one in deg/s
+MAX_REST_SHAKE = 0.15  # standard deviation of the specific force at rest [m/s^2]
+MAX_RATE = 40.0  # rad/s; robots' gyros end at 2000 deg/s, which is 35
+MIN_VERTICAL_COSINE = (
+    0.95  # cosine between rate and vertical in a level bend; the centrifugal force tilts what is measured of it
+)
+MAX_JITTER = 0.03  # in the sensor's own unit: the jitter of a gyroscope in deg/s is above, of one in rad/s below
+MAX_VALUE = 1e5  # in any unit; beyond it a message is damaged
 
 
 def is_usable(sample: RawImu) -> bool:
     """Tell whether all six values are numbers that a sensor can give; NaN fails the comparison."""
-    return all(-LARGEST < value < LARGEST for value in (*sample.gyro, *sample.accel))
+    return all(-MAX_VALUE < value < MAX_VALUE for value in (*sample.gyro, *sample.accel))
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +70,22 @@ def _accel(accel: NDArray[np.float64], override: str) -> tuple[str, Inference, l
     evidence = f"median magnitude of the first {len(accel)} samples is {size:.4g}"
     name = "accelerometer unit"
     if override:
-        return override, inferred(name, override, evidence, source="override"), []
-    if 0.3 < size < 3.0:
+        return override, make_inference(name, override, evidence, source="override"), []
+    if G_MAGNITUDES[0] < size < G_MAGNITUDES[1]:
         message = f"the accelerometer counts in g, not m/s^2: {evidence}; it is multiplied by {GRAVITY}"
         return (
             "g",
-            inferred(name, "g", f"{evidence}: near 1"),
+            make_inference(name, "g", f"{evidence}: near 1"),
             [Event(code="accel-in-g", message=message, severity="info")],
         )
-    if 3.0 <= size < 30.0:
-        return "m/s^2", inferred(name, "m/s^2", f"{evidence}: near 9.8"), []
+    if SI_MAGNITUDES[0] <= size < SI_MAGNITUDES[1]:
+        return "m/s^2", make_inference(name, "m/s^2", f"{evidence}: near 9.8"), []
     message = f"the accelerometer's unit is doubtful: {evidence}, neither near 9.8 nor near 1; set input.accel_unit"
-    return "m/s^2", inferred(name, "m/s^2", evidence, source="default"), [Event(code="accel-unit", message=message)]
+    return (
+        "m/s^2",
+        make_inference(name, "m/s^2", evidence, source="default"),
+        [Event(code="accel-unit", message=message)],
+    )
 
 
 def _gyro(
@@ -85,29 +96,29 @@ def _gyro(
     name = "gyroscope unit"
     if override:
         text = f"largest rate {largest:.4g}"
-        return override, inferred(name, override, text, source="override")
-    if largest > FASTEST:
-        return "deg/s", inferred(name, "deg/s", f"largest rate {largest:.4g}: beyond any gyroscope in rad/s (35)")
+        return override, make_inference(name, override, text, source="override")
+    if largest > MAX_RATE:
+        return "deg/s", make_inference(name, "deg/s", f"largest rate {largest:.4g}: beyond any gyroscope in rad/s (35)")
     slope, correlation, count = _gravity_turn(accel, gyro, stamps_ns)
-    if correlation > 0.5 and count >= 20:
+    if correlation > MIN_GRAVITY_CORRELATION and count >= MIN_GRAVITY_TURNS:
         unit = "rad/s" if slope > np.sqrt(np.pi / 180) else "deg/s"
         text = (
             f"the direction of gravity turns {slope:.3g} times as fast as the rates say (1: rad/s, "
             f"0.0175: deg/s), r {correlation:.2f}"
         )
-        return unit, inferred(name, unit, text)
+        return unit, make_inference(name, unit, text)
     resting, turning = _rest_rate(accel, gyro)
-    if resting is not None and resting > 0.15 and not turning:
+    if resting is not None and resting > MAX_REST_RATE and not turning:
         text = (
             f"it reads {resting:.3g} at rest: as rad/s a bias of {np.rad2deg(resting):.0f} deg/s, as deg/s a common one"
         )
-        return "deg/s", inferred(name, "deg/s", text)
+        return "deg/s", make_inference(name, "deg/s", text)
     turned = f"gravity turns too little to tell (r {correlation:.2f})" if count else "gravity turns too little to tell"
     text = f"largest rate {largest:.4g}, {turned}: the ROS unit"
     if resting is not None:
         found = "calmly about the vertical, as a vehicle in a bend" if turning else "at rest, a common bias in rad/s"
         text = f"it reads {resting:.3g} {found}; {text}"
-    return "rad/s", inferred(name, "rad/s", text, source="default" if resting is None else "data")
+    return "rad/s", make_inference(name, "rad/s", text, source="default" if resting is None else "data")
 
 
 def _gravity_turn(
@@ -152,10 +163,10 @@ def _rest_rate(accel: NDArray[np.float64], gyro: NDArray[np.float64], size: int 
     for at in range(0, len(accel) - size + 1, size):
         rates, force = gyro[at : at + size], accel[at : at + size]
         shake = float(np.linalg.norm(force.std(axis=0)))
-        if shake < 0.15 and (best is None or shake < best[0]):
+        if shake < MAX_REST_SHAKE and (best is None or shake < best[0]):
             rate, up = rates.mean(axis=0), force.mean(axis=0)
             length = float(np.linalg.norm(rate))
-            upright = abs(float(rate @ up)) > ALONG * length * float(np.linalg.norm(up))
+            upright = abs(float(rate @ up)) > MIN_VERTICAL_COSINE * length * float(np.linalg.norm(up))
             jitter = float(np.diff(rates, axis=0).std(axis=0).max()) / np.sqrt(2.0)
-            best = (shake, length, upright and jitter < QUIET)
+            best = (shake, length, upright and jitter < MAX_JITTER)
     return (None, False) if best is None else best[1:]

@@ -12,18 +12,17 @@ from heliograph.data import Event
 from heliograph.errors import DataError, TopicError, closest
 from heliograph.io.inference.imu_units import ImuUnits, infer_imu_units
 from heliograph.io.inference.mounting import FrameTree, Mounting, find_mounting
-from heliograph.io.inference.record import Inference, inferred
+from heliograph.io.inference.record import Inference, make_inference
 from heliograph.io.inference.scans import PointTiming
 from heliograph.io.inference.timing import infer_timing
 from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, RawTransform, TopicInfo
 
 __all__ = ["Interpretation", "interpret"]
 
-CLOUDS, SAMPLES, FEW_SAMPLES = 12, 400, 20
-USUAL_PROBE_NS = 3_000_000_000
-LONGEST_PROBE_NS = 20_000_000_000
+PROBE_CLOUDS, PROBE_SAMPLES, MIN_SAMPLES = 12, 400, 20
+FULL_PROBE_NS = 3_000_000_000
 DEFAULT_IMU_PERIOD_NS = 5_000_000
-FURTHEST_CLOCKS_NS = 1_000_000_000
+MAX_CLOCK_DISTANCE_NS = 1_000_000_000
 Note = Inference | Event
 
 
@@ -54,9 +53,9 @@ class Interpretation:
     start_ns : int
         When the first message was received [ns].
     points_per_scan : int
-        Of the first scans, as stored.
+        Points of the first scans, as stored.
     fields : tuple of str
-        Of the cloud.
+        Fields of the cloud.
     inferences, events : tuple
         Conclusions and warnings.
     """
@@ -98,11 +97,11 @@ class _Probe:
         self.start_ns = message.received_ns if self.start_ns is None else min(self.start_ns, message.received_ns)
         if isinstance(message, RawCloud):
             found = self.clouds.setdefault(message.topic, [])
-            if len(found) < CLOUDS:
+            if len(found) < PROBE_CLOUDS:
                 found.append(message)
         elif isinstance(message, RawImu):
             samples = self.samples.setdefault(message.topic, [])
-            if len(samples) < SAMPLES:
+            if len(samples) < PROBE_SAMPLES:
                 samples.append(message)
         else:
             self.fixes.setdefault(message.topic, []).append(message)
@@ -131,7 +130,7 @@ def interpret(source: RawSource, config: InputConfig, sensors: str = "auto") -> 
     lidars = _candidates(source.topics, "lidar", config.lidar_topic if wants_lidar else "", wants_lidar)
     imus = _candidates(source.topics, "imu", config.imu_topic if wants_imu else "", wants_imu)
     _require(source, lidars, imus, sensors)
-    probe = _probe(source, lidars, imus)
+    probe = _probe(source, lidars, imus, config.max_probe)
     lidar, lidar_why = _choose_lidar(lidars, probe, config.lidar_topic)
     imu, imu_why = _choose_imu(imus, probe, config.imu_topic)
     gnss = max(probe.fixes, key=lambda name: len(probe.fixes[name]), default=None)
@@ -205,7 +204,7 @@ def _require_messages(
         raise DataError(f"{source.description}: {imu} holds no usable sample")
 
 
-def _probe(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo]) -> _Probe:
+def _probe(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo], max_probe: float) -> _Probe:
     """Read the first messages; static transforms are read wherever they are, a recorder may be started late."""
     probe = _Probe()
     static = frozenset(t.name for t in source.topics if t.kind == "tf" and "static" in t.name)
@@ -214,21 +213,21 @@ def _probe(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo]) ->
     names = {t.name for t in [*lidars, *imus]} | {t.name for t in source.topics if t.kind in ("tf", "gnss")} - static
     for message in source.messages(frozenset(names)):
         probe.add(message)
-        if _enough(probe, lidars, imus, message.received_ns):
+        if _is_complete(probe, lidars, imus, message.received_ns, max_probe):
             break
     return probe
 
 
-def _enough(probe: _Probe, lidars: list[TopicInfo], imus: list[TopicInfo], now_ns: int) -> bool:
-    if probe.start_ns is not None and now_ns - probe.start_ns > LONGEST_PROBE_NS:
+def _is_complete(probe: _Probe, lidars: list[TopicInfo], imus: list[TopicInfo], now_ns: int, max_probe: float) -> bool:
+    if probe.start_ns is not None and now_ns - probe.start_ns > round(1e9 * max_probe):
         return True
     elapsed = now_ns - (probe.start_ns or now_ns)
     clouds = all(
-        len(probe.clouds.get(t.name, ())) >= (CLOUDS if t.kind == "lidar-packets" else min(CLOUDS, t.count))
+        len(probe.clouds.get(t.name, ())) >= (PROBE_CLOUDS if t.kind == "lidar-packets" else min(PROBE_CLOUDS, t.count))
         for t in lidars
     )
     # A slow IMU would otherwise have its whole recording read: after three seconds a few samples do.
-    wanted = SAMPLES if elapsed < USUAL_PROBE_NS else FEW_SAMPLES
+    wanted = PROBE_SAMPLES if elapsed < FULL_PROBE_NS else MIN_SAMPLES
     return clouds and all(len(probe.samples.get(t.name, ())) >= min(wanted, t.count) for t in imus)
 
 
@@ -237,19 +236,19 @@ def _choose_lidar(lidars: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[
     if not lidars:
         return None, []
     if wanted:
-        return wanted, [inferred("lidar topic", wanted, "--lidar-topic", source="override")]
+        return wanted, [make_inference("lidar topic", wanted, "--lidar-topic", source="override")]
     points = {t.name: t.count * _cloud_size(probe.clouds.get(t.name, [])) for t in lidars}
     best = max(sorted(points), key=lambda name: points[name])
     if len(lidars) == 1:
         return best, [
-            inferred("lidar topic", best, f"the only one, {lidars[0].count} messages of {lidars[0].message_type}")
+            make_inference("lidar topic", best, f"the only one, {lidars[0].count} messages of {lidars[0].message_type}")
         ]
     listing = ", ".join(f"{name} (about {points[name]:.3g} points)" for name in sorted(points))
     message = (
         f"{len(lidars)} LiDAR topics: {listing}; {best} is used, it has the most points; choose with --lidar-topic"
     )
     return best, [
-        inferred("lidar topic", best, f"most points of {listing}"),
+        make_inference("lidar topic", best, f"most points of {listing}"),
         Event(code="lidar-topics", message=message),
     ]
 
@@ -263,14 +262,17 @@ def _choose_imu(imus: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str 
     if not imus:
         return None, []
     if wanted:
-        return wanted, [inferred("imu topic", wanted, "--imu-topic", source="override")]
+        return wanted, [make_inference("imu topic", wanted, "--imu-topic", source="override")]
     counts = {t.name: t.count if probe.samples.get(t.name) else 0 for t in imus}
     best = max(sorted(counts), key=lambda name: counts[name])
     if len(imus) == 1:
-        return best, [inferred("imu topic", best, f"the only one, {imus[0].count} messages")]
+        return best, [make_inference("imu topic", best, f"the only one, {imus[0].count} messages")]
     listing = ", ".join(f"{name} ({counts[name]} samples)" for name in sorted(counts))
     message = f"{len(imus)} IMU topics: {listing}; {best} is used, it has the most samples; choose with --imu-topic"
-    return best, [inferred("imu topic", best, f"most samples of {listing}"), Event(code="imu-topics", message=message)]
+    return best, [
+        make_inference("imu topic", best, f"most samples of {listing}"),
+        Event(code="imu-topics", message=message),
+    ]
 
 
 def _read_lidar(clouds: Sequence[RawCloud], config: InputConfig) -> tuple[PointTiming, list[Note]]:
@@ -307,10 +309,14 @@ def _imu_period(samples: Sequence[RawImu]) -> tuple[int, str, list[Note]]:
         notes.append(Event(code="no-stamps", message=message))
     steps = steps[steps > 0]
     if not len(steps):
-        return DEFAULT_IMU_PERIOD_NS, stamp, [*notes, inferred("imu rate", "unknown", "one sample", source="default")]
+        return (
+            DEFAULT_IMU_PERIOD_NS,
+            stamp,
+            [*notes, make_inference("imu rate", "unknown", "one sample", source="default")],
+        )
     period = int(np.median(steps))
     evidence = f"median of {len(steps)} steps between stamps, {steps.min() / 1e6:.3f} to {steps.max() / 1e6:.3f} ms"
-    return period, stamp, [*notes, inferred("imu rate", f"{1e9 / period:.4g} Hz", evidence)]
+    return period, stamp, [*notes, make_inference("imu rate", f"{1e9 / period:.4g} Hz", evidence)]
 
 
 def _clock_mismatch(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> list[Note]:
@@ -318,7 +324,7 @@ def _clock_mismatch(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> li
     if not clouds or not samples:
         return []
     lidar, imu = (float(np.median([m.received_ns - m.stamp_ns for m in messages])) for messages in (clouds, samples))
-    if abs(lidar - imu) < FURTHEST_CLOCKS_NS:
+    if abs(lidar - imu) < MAX_CLOCK_DISTANCE_NS:
         return []
     message = (
         f"LiDAR stamps are {(imu - lidar) / 1e9:+.3f} s off IMU stamps of messages that arrive together: the "

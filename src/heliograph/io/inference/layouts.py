@@ -39,7 +39,7 @@ class Layout:
     message : str
         ``RawCloud.layout`` that it comes in.
     field, dtype : str
-        Of the per-point time; empty where there is none.
+        Name and type of the per-point time; empty where there is none.
     unit : str
         ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
     reference : str

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from heliograph.data import Event, Rig
 from heliograph.io.files.extrinsic import read_extrinsic
-from heliograph.io.inference.record import Inference, inferred
+from heliograph.io.inference.record import Inference, make_inference
 from heliograph.io.inference.scans import valid_points
 from heliograph.io.raw import RawCloud, RawImu, RawTransform
 
@@ -119,7 +119,7 @@ def _describe(rig: Rig, evidence: str, source: str) -> Inference:
     T = rig.T_imu_lidar
     angle = np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1)))
     x, y, z = T[:3, 3]
-    return inferred(
+    return make_inference(
         "T_imu_lidar",
         f"({x:.4f}, {y:.4f}, {z:.4f}) m, turned {angle:.2f} deg",
         f"{rig.source}: {evidence}",
@@ -134,7 +134,9 @@ def _describe_clock(rig: Rig) -> tuple[Inference, ...]:
         return ()
     value = f"{1e3 * clock.offset:+.3f} ms, {1e6 * clock.drift:+.1f} ppm"
     return (
-        inferred("imu clock", value, f"{rig.source}: the samples are brought to the LiDAR's clock", source="override"),
+        make_inference(
+            "imu clock", value, f"{rig.source}: the samples are brought to the LiDAR's clock", source="override"
+        ),
     )
 
 
@@ -172,7 +174,7 @@ def _unknown(imu: str, lidar: str, tree: FrameTree) -> Mounting:
     )
     return Mounting(
         rig,
-        (inferred("T_imu_lidar", "unknown", cause, source="default"),),
+        (make_inference("T_imu_lidar", "unknown", cause, source="default"),),
         (Event(code="unknown-mount", message=message),),
     )
 

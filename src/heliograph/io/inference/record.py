@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Inference", "inferred"]
+__all__ = ["Inference", "make_inference"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +29,6 @@ class Inference:
     source: str = "data"
 
 
-def inferred(name: str, value: str, evidence: str, *, source: str = "data") -> Inference:
+def make_inference(name: str, value: str, evidence: str, *, source: str = "data") -> Inference:
     """Return an `Inference`; shorter where many are made."""
     return Inference(name=name, value=value, evidence=evidence, source=source)

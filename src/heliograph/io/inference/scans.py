@@ -15,7 +15,7 @@ from heliograph.io.raw import RawCloud
 
 __all__ = ["TOLERANT", "PointTiming", "azimuth_offsets", "to_scan", "valid_points"]
 
-LONGEST_SWEEP_NS = 2_000_000_000
+MAX_SWEEP_NS = 2_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +29,7 @@ class PointTiming:
     field : str
         Column of the times, for ``"field"``.
     ns_per_unit : float
-        Of that column [ns].
+        Unit of that column [ns].
     reference : str
         ``"header"``: a point was measured at the header stamp plus its time minus ``shift_ns``; ``"absolute"``: at
         its time; ``"other-clock"``: its time counts in a clock of its own, the earliest point is at the header stamp
@@ -183,8 +183,8 @@ def _field_times(
     if timing.reference == "header" and first_ns >= 0 and timing.shift_ns == 0:
         # Times from the header stamp on: the sweep starts at the stamp even where its first points are missing.
         first, first_ns = -float(origin), 0
-    offsets, _, outside = _core.sweep_offsets(times, first, timing.ns_per_unit, LONGEST_SWEEP_NS)
-    inside = (times - first) * timing.ns_per_unit <= LONGEST_SWEEP_NS if outside else None
+    offsets, _, outside = _core.sweep_offsets(times, first, timing.ns_per_unit, MAX_SWEEP_NS)
+    inside = (times - first) * timing.ns_per_unit <= MAX_SWEEP_NS if outside else None
     if timing.reference == "absolute":
         return first_ns, offsets, inside
     begin = first_ns if timing.reference == "header" else 0
@@ -213,7 +213,7 @@ def azimuth_offsets(points: NDArray[np.float32], timing: PointTiming) -> NDArray
     Parameters
     ----------
     points : (N, 3) float32
-        Of a spinning lidar, in its frame [m]; N > 0.
+        Points of a spinning lidar, in its frame [m]; N > 0.
     timing : PointTiming
         Direction, starting azimuth and period.
     """

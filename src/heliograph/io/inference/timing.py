@@ -13,15 +13,17 @@ from heliograph.config import InputConfig
 from heliograph.data import Event
 from heliograph.errors import ConfigError, DataError, closest
 from heliograph.io.inference.layouts import DESKEWED_LAYOUTS, UNITS, Layout, find_layout, time_field
-from heliograph.io.inference.record import Inference, inferred
+from heliograph.io.inference.record import Inference, make_inference
 from heliograph.io.inference.scans import TOLERANT, PointTiming, valid_points
 from heliograph.io.raw import RawCloud
 
 __all__ = ["TimingResult", "infer_timing"]
 
 DEFAULT_PERIOD_NS = 100_000_000
-FEWEST_POINTS = 100
-NEAR_NS = 10_000_000_000  # an absolute time further than this from the header stamp counts in another clock
+MIN_POINTS = 100
+MAX_STAMP_DISTANCE_NS = (
+    10_000_000_000  # an absolute time further than this from the header stamp counts in another clock
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +72,7 @@ def infer_timing(clouds: Sequence[RawCloud], config: InputConfig) -> TimingResul
         result = _without_field(clouds, base, field)
     else:
         result = _with_field(clouds, base, field, spans, config)
-    stamped = inferred("scan stamp", stamp, "header stamps advance" if stamp == "header" else events[0].message)
+    stamped = make_inference("scan stamp", stamp, "header stamps advance" if stamp == "header" else events[0].message)
     return TimingResult(
         result.timing,
         (*inferences, *([] if stamp == "header" else [stamped]), *result.inferences),
@@ -101,10 +103,12 @@ def _period(clouds: Sequence[RawCloud], stamp: str) -> tuple[int, list[Inference
     steps = steps[steps > 0]
     if not len(steps):
         text = f"{DEFAULT_PERIOD_NS / 1e9:.3f} s"
-        return DEFAULT_PERIOD_NS, [inferred("sweep period", text, "one scan only: the usual 10 Hz", source="default")]
+        return DEFAULT_PERIOD_NS, [
+            make_inference("sweep period", text, "one scan only: the usual 10 Hz", source="default")
+        ]
     period = int(np.median(steps))
     evidence = f"median of {len(steps)} steps between stamps, {steps.min() / 1e9:.4f} to {steps.max() / 1e9:.4f} s"
-    return period, [inferred("sweep period", f"{period / 1e9:.4f} s", evidence)]
+    return period, [make_inference("sweep period", f"{period / 1e9:.4f} s", evidence)]
 
 
 def _field(clouds: Sequence[RawCloud], config: InputConfig) -> str | None:
@@ -146,7 +150,7 @@ def _with_field(
     dtype = clouds[0].columns[field].dtype
     chosen = "override" if config.point_time_field else "data"
     driver = f"as {layout.name} drivers write it (header stamp: {layout.stamp})" if layout else "by its name"
-    inferences = [inferred("point time field", field, f"{dtype.name}, {driver}", source=chosen)]
+    inferences = [make_inference("point time field", field, f"{dtype.name}, {driver}", source=chosen)]
     unit, unit_inference, events = _unit(spans, base.period_ns, layout, config.point_time_unit)
     timing = replace(base, method="field", field=field, ns_per_unit=UNITS[unit])
     timing, reference_inference, more = _reference(timing, spans, clouds, config.point_time_reference)
@@ -172,7 +176,7 @@ def _unit(spans: _Spans, period_ns: int, layout: Layout | None, override: str) -
     ratios = {unit: span * ns / period_ns for unit, ns in UNITS.items()}
     if override:
         text = f"the sweep spans {ratios[override]:.3g} periods in it"
-        return override, inferred("point time unit", override, text, source="override"), []
+        return override, make_inference("point time unit", override, text, source="override"), []
     unit = min(ratios, key=lambda u: abs(math.log10(ratios[u])))
     evidence = f"a sweep spans {span:.6g}, {ratios[unit]:.3g} of the {period_ns / 1e9:.4f} s from scan to scan"
     events = []
@@ -188,7 +192,7 @@ def _unit(spans: _Spans, period_ns: int, layout: Layout | None, override: str) -
             f"the unit of the per-point times is doubtful: {evidence}; set input.point_time_unit if '{unit}' is wrong"
         )
         events.append(Event(code="point-time-span", message=message))
-    return unit, inferred("point time unit", unit, evidence), events
+    return unit, make_inference("point time unit", unit, evidence), events
 
 
 def _reference(
@@ -222,8 +226,8 @@ def _reference(
     return (
         timing,
         [
-            inferred("point time reference", f"header stamp, {meaning}", evidence, source=source),
-            inferred("scan stamp", words[meaning], evidence, source=source),
+            make_inference("point time reference", f"header stamp, {meaning}", evidence, source=source),
+            make_inference("scan stamp", words[meaning], evidence, source=source),
         ],
         events,
     )
@@ -234,7 +238,7 @@ def _absolute(timing: PointTiming, spans: _Spans, override: str) -> tuple[PointT
     before = spans.stamps_ns - spans.first * timing.ns_per_unit  # header stamp past the first point
     lag = float(np.median(before))
     span = float(np.median(spans.last - spans.first)) * timing.ns_per_unit
-    if abs(lag) < NEAR_NS or override:
+    if abs(lag) < MAX_STAMP_DISTANCE_NS or override:
         evidence = f"the first point is {lag / 1e6:.2f} ms before the header stamp"
         share = lag / span if span > 0 else 0.0
         meaning = (
@@ -253,8 +257,8 @@ def _absolute(timing: PointTiming, spans: _Spans, override: str) -> tuple[PointT
             "apart": "apart from the sweep",
         }[meaning]
         found = [
-            inferred("point time reference", "absolute", evidence, source=source),
-            inferred("scan stamp", words, evidence),
+            make_inference("point time reference", "absolute", evidence, source=source),
+            make_inference("scan stamp", words, evidence),
         ]
         return replace(timing, reference="absolute"), found, []
     message = (
@@ -263,7 +267,9 @@ def _absolute(timing: PointTiming, spans: _Spans, override: str) -> tuple[PointT
         "at its header stamp; set input.point_time_reference to overrule"
     )
     found = [
-        inferred("point time reference", "absolute, another clock", f"{abs(lag) / 1e9:.1f} s from the header stamps")
+        make_inference(
+            "point time reference", "absolute, another clock", f"{abs(lag) / 1e9:.1f} s from the header stamps"
+        )
     ]
     return replace(timing, reference="other-clock"), found, [Event(code="point-clock", message=message)]
 
@@ -288,7 +294,7 @@ def _without_field(clouds: Sequence[RawCloud], base: PointTiming, field: str | N
     """Time the points from the sweep's geometry where that is clear, else not at all."""
     if clouds[0].layout in DESKEWED_LAYOUTS:
         evidence = "the scans are already free of motion distortion"
-        return TimingResult(replace(base, method="none"), (inferred("point time field", "none", evidence),), ())
+        return TimingResult(replace(base, method="none"), (make_inference("point time field", "none", evidence),), ())
     cause = f"field '{field}' is constant" if field else f"none of the fields {list(clouds[0].columns)} is a time"
     method, direction, evidence = _sweep_geometry(clouds)
     timing = replace(base, method=method, direction=direction)
@@ -303,15 +309,15 @@ def _without_field(clouds: Sequence[RawCloud], base: PointTiming, field: str | N
         consequence = f"inferred from the sweep's geometry ({evidence}), the header stamp taken as its start"
     message = f"no per-point time ({cause}): {consequence}; record with a driver that writes it"
     inferences = (
-        inferred("point time field", value, f"{cause}; {evidence}"),
-        inferred("scan stamp", "the sweep's start", "nothing in the data tells", source="default"),
+        make_inference("point time field", value, f"{cause}; {evidence}"),
+        make_inference("scan stamp", "the sweep's start", "nothing in the data tells", source="default"),
     )
     return TimingResult(timing, inferences, (Event(code="no-point-time", message=message),))
 
 
 def _sweep_geometry(clouds: Sequence[RawCloud]) -> tuple[str, int, str]:
     """Return method, direction and evidence of a spinning lidar's sweep."""
-    votes = [_turn(cloud) for cloud in clouds if len(valid_points(cloud)[0]) >= FEWEST_POINTS][:5]
+    votes = [_turn(cloud) for cloud in clouds if len(valid_points(cloud)[0]) >= MIN_POINTS][:5]
     if not votes:
         return "none", 1, "too few points"
     agreed = [v for v in votes if v[0] == votes[0][0] and v[1] == votes[0][1]]

@@ -25,7 +25,7 @@ _VELODYNE_TOPIC = "/velodyne_points"
 # The last byte of a packet names the model; packets a second there, divided by 10 Hz (Velodyne's manuals).
 _VELODYNE_MODELS = {0x21: ("HDL-32E", 181), 0x22: ("VLP-16", 75), 0x24: ("Puck Hi-Res", 75), 0x28: ("VLP-32C", 151),
                     0xA1: ("VLS-128", 625)}  # fmt: skip
-_PACKETS_TO_MATCH = 200
+_PROBE_PACKETS = 200
 
 
 def open_pcap(paths: Sequence[Path]) -> RawSource | None:
@@ -105,7 +105,7 @@ def _fits(capture: Path, metadata: Path) -> bool:
     try:
         info = core.SensorInfo(metadata.read_text(encoding="utf-8"))
         source = PcapPacketSource(str(capture), sensor_info=[info])
-        packets = [p for _, p in islice(source, _PACKETS_TO_MATCH) if isinstance(p, core.LidarPacket)]
+        packets = [p for _, p in islice(source, _PROBE_PACKETS) if isinstance(p, core.LidarPacket)]
         source.close()
     except (RuntimeError, ValueError):
         return False
@@ -128,7 +128,7 @@ class _Pcap:
     def close(self) -> None:
         """Nothing stays open between iterations."""
 
-    def _guarded(
+    def _guard_damage(
         self, capture: Path, stream: Iterator[RawMessage], errors: tuple[type[Exception], ...]
     ) -> Iterator[RawMessage]:
         """Turn damage of a file into an event: it must not cost what was read before it."""
@@ -166,7 +166,7 @@ class _OusterPcap(_Pcap):
         """Yield clouds and inertial samples as their packets were captured."""
         decoder = self._decoder()
         for capture in self._captures:
-            yield from self._guarded(
+            yield from self._guard_damage(
                 capture, self._capture_messages(capture, decoder, topics), (RuntimeError, ValueError)
             )
         if _OUSTER_TOPICS[0] in topics:
@@ -212,7 +212,7 @@ class _VelodynePcap(_Pcap):
         decoder = VelodyneDecoder(_VELODYNE_TOPIC, device_clock=True, calibration_from=self._captures[0])
         for capture in self._captures:
             errors = (RuntimeError, ValueError, velodyne_decoder().util.dpkt.dpkt.Error)
-            yield from self._guarded(capture, self._capture_messages(capture, decoder), errors)
+            yield from self._guard_damage(capture, self._capture_messages(capture, decoder), errors)
         yield from decoder.finish()
 
     def _capture_messages(self, capture: Path, decoder: VelodyneDecoder) -> Iterator[RawMessage]:

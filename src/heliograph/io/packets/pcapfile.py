@@ -16,7 +16,7 @@ _LINK_HEADER = {1: 14, 113: 16, 276: 20, 101: 0, 0: 4}  # Ethernet, Linux cooked
 _VLAN = (0x8100, 0x88A8)
 _UDP = 17
 _FILE_HEADER, _RECORD_HEADER = 24, 16
-_LOOK_AT = 20_000
+_MAX_COUNTED_PACKETS = 20_000
 
 
 def is_pcap(path: Path) -> bool:
@@ -43,7 +43,7 @@ def is_cut(path: Path) -> bool:
 def datagram_sizes(path: Path) -> Counter[int]:
     """Count UDP datagrams by payload size.
 
-    Of a file with more than 20 000 packets, those are counted and scaled up to the file's size.
+    In a file with more than 20 000 packets, those are counted and scaled up to the file's size.
     A fragmented datagram counts once, by its full size. A pcapng file, or one of an unknown link type, gives no counts.
     """
     sizes: Counter[int] = Counter()
@@ -55,7 +55,7 @@ def datagram_sizes(path: Path) -> Counter[int]:
         link = _LINK_HEADER.get(struct.unpack_from(order + "I", head, 20)[0] & 0xFFFF)
         if link is None:
             return sizes
-        for _ in range(_LOOK_AT):
+        for _ in range(_MAX_COUNTED_PACKETS):
             size = _next_datagram(file, order, link)
             if size is None:
                 return sizes

@@ -73,7 +73,7 @@ def test_all_perturbations_are_one_call(rng):
 
 
 def test_many_instances_are_split_and_named(rng, monkeypatch):
-    monkeypatch.setattr(differences, "MOST_ROWS", 13 * 6)
+    monkeypatch.setattr(differences, "MAX_ROWS", 13 * 6)
     counted, calls = _counting(None)
     X, Y, Z = between_arrays(rng, 20)
     residual, jacobians = counted.evaluate((X, Y), (Z,))
@@ -82,7 +82,7 @@ def test_many_instances_are_split_and_named(rng, monkeypatch):
     whole, whole_jacobians = Between2.evaluate((X, Y), (Z,))
     np.testing.assert_array_equal(residual, whole)
     np.testing.assert_array_equal(jacobians, whole_jacobians)
-    monkeypatch.setattr(differences, "MOST_ROWS", 13 * 6)
+    monkeypatch.setattr(differences, "MAX_ROWS", 13 * 6)
     Z[15] = np.nan
     with pytest.raises(GraphError, match=r"Counted.residual is not finite for factor 115"):
         counted.evaluate((X, Y), (Z,), name=lambda row: f"factor {100 + row}")

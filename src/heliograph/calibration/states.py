@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from heliograph.data import ImuClock
 
-__all__ = ["Beliefs", "CalibrationMotion", "LidarPoses", "RigPrior"]
+__all__ = ["CalibrationMotion", "CalibrationState", "LidarPoses", "RigPrior"]
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Beliefs:
+class CalibrationState:
     """What is estimated besides the motion.
 
     Parameters
@@ -35,7 +35,7 @@ class Beliefs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigPrior:
-    """What was believed beforehand.
+    """The prior of mounting and clock.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class RigPrior:
         [m].
     clock : ImuClock
     information : (8, 8) float64
-        Of a change from it: rotation about and lever arm along imu axes, offset, drift.
+        Information about a change from it: rotation about and lever arm along imu axes, offset, drift.
     """
 
     T_imu_lidar: Array
@@ -53,7 +53,7 @@ class RigPrior:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LidarPoses:
-    """Poses of the LiDAR in the odom frame as the scans alone tell them.
+    """Poses of the LiDAR in the odom frame as estimated from the scans alone.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class LidarPoses:
     T_odom_lidar : (N, 4, 4) float64
         [m].
     covariance : (N, 6, 6) float64
-        Of right perturbations, rotation first; its size by direction is found from the data.
+        Covariance of right perturbations, rotation first; its size by direction is found from the data.
     """
 
     stamps_ns: Stamps
