@@ -80,6 +80,8 @@ def make_batch(index: int) -> ImuBatch:
 class FakeRecording:
     """A recording of ``scans`` scans with IMU batches between them."""
 
+    repeatable = True
+
     def __init__(self, scans: int, *, sensors: frozenset[str] = frozenset({"lidar", "imu"})) -> None:
         self.scans, self.sensors = scans, sensors
         self.rig = Rig(T_imu_lidar=np.eye(4), source="test")
@@ -96,9 +98,14 @@ class FakeRecording:
         finally:
             self.closed = True
 
+    def close(self) -> None:
+        self.closed = True
+
 
 class FakeOdometry:
     """Gives one result a scan, one scan late, as a causal filter does; the last comes from `finish`."""
+
+    start = None
 
     def __init__(
         self, *, T_leveled_odom: np.ndarray | None = None, fail_at: int = -1, error: BaseException | None = None
@@ -126,21 +133,3 @@ class FakeOdometry:
 
     def leveling(self) -> np.ndarray:
         return self._T
-
-
-class FakeMap:
-    """Keeps every point."""
-
-    def __init__(self) -> None:
-        self._points: list[np.ndarray] = []
-        self._intensity: list[np.ndarray] = []
-
-    def insert(self, points_imu, intensity, T_map_imu) -> None:
-        self._points.append((points_imu @ T_map_imu[:3, :3].T + T_map_imu[:3, 3]).astype(np.float32))
-        self._intensity.append(intensity)
-
-    def points(self) -> np.ndarray:
-        return np.concatenate([*self._points, np.zeros((0, 3), dtype=np.float32)])
-
-    def intensity(self) -> np.ndarray:
-        return np.concatenate([*self._intensity, np.zeros(0, dtype=np.float32)])

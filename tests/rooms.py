@@ -15,8 +15,8 @@ from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "heliograph"
 
-# What everybody may import; `atomic`, `chi_square`, `config` and its helpers know only the errors.
-COMMON = {"atomic", "chi_square", "errors", "config", "config_checks", "config_toml", "_core"}
+# What everybody may import; `atomic`, `chi_square`, `plugins`, `config` and its helpers know only the errors.
+COMMON = {"atomic", "chi_square", "errors", "config", "config_checks", "config_toml", "plugins", "_core"}
 SENSING = {"lie", "data"}
 ODOMETRY = SENSING | {"cloud", "imu", "maps", "registration"}
 ENGINE = {"lie", "graph"}
@@ -28,11 +28,12 @@ ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "atomic": {"errors"},
     "chi_square": {"errors"},
+    "plugins": {"errors"},
     "config_checks": {"errors"},
     "config": {"errors", "config_checks"},
     "config_toml": {"errors", "config", "config_checks"},
     "lie": {"errors", "config", "_core"},
-    "testing": COMMON | SENSING | {"maps", "registration", "odometry", "graph"},
+    "testing": COMMON | SENSING | {"maps", "registration", "odometry", "graph", "io", "output"},
     "data": COMMON | {"lie"},
     "cloud": COMMON | SENSING,
     "imu": COMMON | SENSING,
@@ -47,7 +48,7 @@ ALLOWED: dict[str, set[str]] = {
     "sim": COMMON | SENSING,
     "metrics": COMMON | SENSING,
     "checks": COMMON | SENSING | {"metrics"},
-    "output": COMMON | SENSING | {"io"},
+    "output": COMMON | SENSING | {"io", "maps"},
     "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output"},
     "examination": COMMON | SLAM | {"io", "checks"},
     "report": COMMON | SENSING | {"imu", "io", "calibration", "output", "checks", "metrics"},
@@ -82,9 +83,11 @@ STOREYS: dict[str, dict[str, set[str]]] = {
     },
     "odometry": {
         "sequencer": set(),
-        "protocol": {"filter"},
+        "protocol": set(),
+        "pose_result": set(),
         "filter": {"sequencer"},
         "follow": {"filter"},
+        "registry": {"protocol", "filter"},
     },
 }
 """The same inside the rooms that have storeys; their ``__init__`` may import all of them."""

@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: MIT
+#include <nanobind/stl/optional.h>
+
 #include "bindings/bindings.hpp"
 #include "maps/global_map.hpp"
 #include "maps/voxel_map.hpp"
@@ -7,11 +9,22 @@ namespace heliograph {
 
 namespace {
 
+using Cubes = Array<const int32_t, nb::shape<-1, 3>>;
+
 void insert_global(GlobalMap& map, const Points& points, const Floats& intensity, const Matrix4& T) {
   if (intensity.size() != 0 && intensity.size() != points.shape(0))
     throw std::invalid_argument("intensity needs one value a point, or none");
   nb::gil_scoped_release release;
   map.insert(span_of(points), span_of(intensity), T.data());
+}
+
+void merge_global(GlobalMap& map, const Cubes& cubes, const Points& sums, const Floats& intensity, const Floats& counts,
+                  const std::optional<Matrix4>& T) {
+  const size_t count = counts.size();
+  if (cubes.shape(0) != count || sums.shape(0) != count || intensity.size() != count)
+    throw std::invalid_argument("cubes, sums, intensity and counts need one row a cell");
+  nb::gil_scoped_release release;
+  map.merge({{cubes.data(), 3 * count}, span_of(sums), span_of(intensity), span_of(counts)}, T ? T->data() : nullptr);
 }
 
 auto voxel_planes(const VoxelMap& map) {
@@ -69,7 +82,13 @@ void bind_maps(nb::module_& m) {
       .def("bytes", &GlobalMap::bytes)
       .def("points", [](const GlobalMap& map) { return to_numpy<float>(map.points(), {map.size(), 3}); })
       .def("intensity", [](const GlobalMap& map) { return to_numpy<float>(map.intensity(), {map.size()}); })
-      .def("counts", [](const GlobalMap& map) { return to_numpy<float>(map.counts(), {map.size()}); });
+      .def("counts", [](const GlobalMap& map) { return to_numpy<float>(map.counts(), {map.size()}); })
+      .def("merge", &merge_global, "cubes"_a.noconvert(), "sums"_a.noconvert(), "intensity"_a.noconvert(),
+           "counts"_a.noconvert(), "T_map_odom"_a.noconvert().none())
+      .def("clear", &GlobalMap::clear)
+      .def("cubes", [](const GlobalMap& map) { return to_numpy<int32_t>(map.cubes(), {map.size(), 3}); })
+      .def("sums", [](const GlobalMap& map) { return to_numpy<float>(map.sums(), {map.size(), 3}); })
+      .def("intensity_sums", [](const GlobalMap& map) { return to_numpy<float>(map.intensity_sums(), {map.size()}); });
 }
 
 }  // namespace heliograph

@@ -79,10 +79,26 @@ void check_global() {
   CHECK(map.size() > 80'000);
 }
 
+void check_global_merge() {
+  GlobalMap part(0.2), whole(0.2);
+  part.insert(floor_points(4), {}, kIdentity);
+  const std::vector<int32_t> cubes = part.cubes();
+  const std::vector<float> sums = part.sums(), intensity = part.intensity_sums(), counts = part.counts();
+  whole.merge({cubes, sums, intensity, counts}, nullptr);
+  whole.merge({cubes, sums, intensity, counts}, kIdentity);
+  CHECK(whole.size() == part.size() && whole.counts()[0] == 2.0F * part.counts()[0]);
+  whole.merge({{}, {}, {}, {}}, nullptr);
+  whole.clear();
+  CHECK(whole.size() == 0);
+  whole.merge({cubes, sums, intensity, counts}, nullptr);
+  CHECK(whole.points() == part.points());
+}
+
 }  // namespace
 
 void check_maps() {
   check_growth_and_prune();
   check_odd_points();
   check_global();
+  check_global_merge();
 }

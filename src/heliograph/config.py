@@ -25,6 +25,8 @@ class InputConfig:
 
     Parameters
     ----------
+    reader : str
+        Name of the reader to use, or ``"module:function"`` of one's own, which is imported; see docs/howto/plug_in.md.
     lidar_topic, imu_topic : str
         Topics to use.
     point_time_field : str
@@ -46,6 +48,7 @@ class InputConfig:
         How much from the start is read at most to infer what is not given; a sensor that begins later is not found [s].
     """
 
+    reader: str = ""
     lidar_topic: str = ""
     imu_topic: str = ""
     point_time_field: str = ""
@@ -462,14 +465,23 @@ class OutputConfig:
         ``"ply"``, ``"pcd"`` or ``"laz"``.
     body : str
         Frame whose poses are written: ``"imu"``, ``"lidar"`` or a frame of the recording.
+    keyframe_distance, keyframe_angle_deg, keyframe_interval : float
+        How far [m], how much [deg] and how long [s] until the next keyframe; the points between two move as one where a
+        back-end moves the run.
+    keep_submaps : bool
+        Whether ``submaps.bin``, the points keyframe by keyframe, stays in the folder.
     """
 
     map_voxel: float = 0.1
     map_format: str = "ply"
     body: str = "imu"
+    keyframe_distance: float = 1.0
+    keyframe_angle_deg: float = 30.0
+    keyframe_interval: float = 5.0
+    keep_submaps: bool = False
 
     def __post_init__(self) -> None:
-        check_range(self, "map_voxel", low=0.0)
+        check_range(self, "map_voxel", "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", above=0.0)
         check_choice(self, "map_format", "ply", "pcd", "laz")
 
 
@@ -480,7 +492,8 @@ class RunConfig:
     Parameters
     ----------
     odometry : str
-        ``"filter"``.
+        ``"filter"``, a name that was registered, or ``"module:factory"`` of one's own, which is imported; see
+        docs/howto/plug_in.md.
     sensors : str
         ``"auto"`` (what the recording holds), ``"lidar,imu"``, ``"lidar"`` or ``"imu"``.
     threads : int
@@ -500,6 +513,5 @@ class RunConfig:
     output: OutputConfig = field(default_factory=OutputConfig)
 
     def __post_init__(self) -> None:
-        check_choice(self, "odometry", "filter")
         check_choice(self, "sensors", "auto", "lidar,imu", "lidar", "imu")
         check_range(self, "threads", low=0)

@@ -6,38 +6,19 @@ import os
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from typing import Protocol
 
 import numpy as np
 
 from heliograph.calibration import align_mounting
 from heliograph.config import RunConfig
-from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult
-from heliograph.errors import ConfigError, DataError
+from heliograph.data import Event, GnssFix, ImuBatch, Message, Rig, Scan, ScanResult, Source
+from heliograph.errors import CalibrationError, ConfigError, DataError
 from heliograph.io.prefetch import prefetch
 from heliograph.odometry import Odometry, make_odometry
 from heliograph.output.sink import Sink
 from heliograph.output.summary import RunSummary, Tally, judge
 
-__all__ = ["Source", "run", "sensors_in_use"]
-
-Message = Scan | ImuBatch | GnssFix
-
-
-class Source(Protocol):
-    """What the pipeline needs of a recording."""
-
-    rig: Rig
-    sensors: frozenset[str]
-
-    @property
-    def events(self) -> list[Event]:
-        """Warnings so far."""
-        ...
-
-    def stream(self) -> Iterator[Message]:
-        """Yield the messages in causal order."""
-        ...
+__all__ = ["run", "sensors_in_use", "thread_count"]
 
 
 def run(
@@ -72,34 +53,25 @@ def run(
     OutputError
         A sink could not write. After any failure, every sink has been closed with what was done till then.
     """
-    clock, tally = Clock(opening_seconds), Tally()
-    sensors, threads = sensors_in_use(recording, config), thread_count(config)
+    account = Account(sinks, opening_seconds)
+    clock, sensors, threads = account.clock, sensors_in_use(recording, config), thread_count(config)
     rig, found = mounted(recording, config, sensors, threads, clock, stop)  # 0. align the sensors where nothing tells
     odometry = odometry or make_odometry(config, rig, sensors, threads)
-    interrupted, failure = False, None
-    try:
-        with closing(messages(recording, sensors, threads)) as stream:
-            for message in clock.each("reading", stream):  # 1. the recording's messages, in causal order
-                deliver_message(message, sinks, clock)
-                with clock("odometry"):
-                    results = odometry.add(message)  # 2. none, one or several scans are ready
-                deliver(results, tally, sinks, clock)  # 3. count and write them
-                if interrupted := stop():
-                    break
+    with account.until_the_end(), closing(messages(recording, sensors, threads)) as stream:
+        for message in clock.each("reading", stream):  # 1. the recording's messages, in causal order
+            account.observe(message)
+            with clock("odometry"):
+                results = odometry.add(message)  # 2. none, one or several scans are ready
+            account.add(results)  # 3. count and write them
+            if stop():
+                account.interrupted = True
+                break
         with clock("odometry"):
             results = odometry.finish()  # 4. nothing more comes: the scans that were waiting for it
-        deliver(results, tally, sinks, clock)
-    except KeyboardInterrupt:
-        interrupted = True  # what is there stays, and is valid
-    except Exception as error:
-        failure = error
-    tally.add_events((*unsolved(recording.events, found), *odometry.events))
-    summary = conclude(tally, sensors, odometry, clock, interrupted=interrupted, failure=failure)  # 5. how good is it
-    failure = close(sinks, summary) or failure  # 6. every sink ends with what it has
-    if failure is None and not tally.scans and not interrupted:
-        failure = DataError("no scan came out of the recording; `heliograph info` shows what it holds")
-    if failure is not None:
-        raise failure
+        account.add(results)
+    account.tally.add_events((*unsolved(recording.events, found), *odometry.events))
+    summary = account.conclude(sensors, odometry)  # 5. how good is it
+    account.close(summary)  # 6. every sink ends with what it has; a failure goes on from here
     return summary
 
 
@@ -114,6 +86,11 @@ def mounted(
     """Return the recording's rig, or one found from the motion where no source gave it, with what to say."""
     if recording.rig.known or sensors != {"lidar", "imu"}:
         return recording.rig, ()
+    if not recording.repeatable:
+        raise CalibrationError(
+            "the mounting of the LiDAR on the IMU is not known, and a source that is read once only leaves no way to "
+            "find it; give T_imu_lidar"
+        )
 
     def from_the_start() -> Iterator[Message]:
         with closing(messages(recording, sensors, threads)) as stream:
@@ -206,55 +183,80 @@ def messages(recording: Source, sensors: frozenset[str], threads: int) -> Genera
             stream.close()
 
 
-def deliver_message(message: Message, sinks: Sequence[Sink], clock: Clock) -> None:
-    """Show a message to the sinks."""
-    with clock("writing"):
-        for sink in sinks:
-            sink.observe(message)
+class Account:
+    """What a run has come to so far: results counted and handed to the sinks, time spent, and what ended it.
 
+    Parameters
+    ----------
+    sinks : sequence of Sink
+    opening_seconds : float
+        What opening the recording took [s].
+    """
 
-def deliver(results: Sequence[ScanResult], tally: Tally, sinks: Sequence[Sink], clock: Clock) -> None:
-    """Count the results and hand them to the sinks."""
-    with clock("writing"):
-        for result in results:
-            tally.add(result)
-            for sink in sinks:
-                sink.add(result)
+    def __init__(self, sinks: Sequence[Sink], opening_seconds: float) -> None:
+        self.clock, self.tally = Clock(opening_seconds), Tally()
+        self.interrupted = False
+        self.failure: Exception | None = None
+        self._sinks = sinks
 
-
-def conclude(
-    tally: Tally,
-    sensors: frozenset[str],
-    odometry: Odometry,
-    clock: Clock,
-    *,
-    interrupted: bool,
-    failure: Exception | None,
-) -> RunSummary:
-    """Return the run's account: what the tally counted, the verdict, the timings, and which way is up after all."""
-    leveling = getattr(odometry, "leveling", None)
-    T_map_odom = np.eye(4) if leveling is None else np.asarray(leveling(), dtype=np.float64)
-    status, reasons = judge(tally.statuses, sensors=sensors, held=tally.held, interrupted=interrupted)
-    return tally.summary(
-        status=status,
-        reasons=reasons,
-        interrupted=interrupted,
-        sensors=tuple(name for name in ("lidar", "imu") if name in sensors),
-        weakest_direction=T_map_odom[:3, :3] @ tally.weakest[1],
-        wall_seconds=clock.wall,
-        seconds=dict(clock.seconds),
-        T_map_odom=T_map_odom,
-        start=getattr(odometry, "start", None),
-        failure="" if failure is None else str(failure) or type(failure).__name__,
-    )
-
-
-def close(sinks: Sequence[Sink], summary: RunSummary) -> Exception | None:
-    """Close every sink, also after one of them failed; return the first failure."""
-    failure = None
-    for sink in sinks:
+    @contextmanager
+    def until_the_end(self) -> Iterator[None]:
+        """Note what ends the block early, Ctrl-C or a failure: what is there by then stays, and is valid."""
         try:
-            sink.close(summary)
+            yield
+        except KeyboardInterrupt:
+            self.interrupted = True
         except Exception as error:
-            failure = failure or error
-    return failure
+            self.failure = error
+
+    def observe(self, message: Message) -> None:
+        """Show a message to the sinks."""
+        with self.clock("writing"):
+            for sink in self._sinks:
+                sink.observe(message)
+
+    def add(self, results: Sequence[ScanResult]) -> None:
+        """Count the results and hand them to the sinks."""
+        with self.clock("writing"):
+            for result in results:
+                self.tally.add(result)
+                for sink in self._sinks:
+                    sink.add(result)
+
+    def conclude(self, sensors: frozenset[str], odometry: Odometry) -> RunSummary:
+        """Return the run's summary: what was counted, the verdict, the timings, and which way is up after all."""
+        tally, failure = self.tally, self.failure
+        T_map_odom = np.asarray(odometry.leveling(), dtype=np.float64)
+        status, reasons = judge(tally.statuses, sensors=sensors, held=tally.held, interrupted=self.interrupted)
+        return tally.summary(
+            status=status,
+            reasons=reasons,
+            interrupted=self.interrupted,
+            sensors=tuple(name for name in ("lidar", "imu") if name in sensors),
+            weakest_direction=T_map_odom[:3, :3] @ tally.weakest[1],
+            wall_seconds=self.clock.wall,
+            seconds=dict(self.clock.seconds),
+            T_map_odom=T_map_odom,
+            start=odometry.start,
+            failure="" if failure is None else str(failure) or type(failure).__name__,
+        )
+
+    def close(self, summary: RunSummary) -> None:
+        """Close every sink, also after one of them failed; then raise what failed, of a sink before of the run.
+
+        Raises
+        ------
+        DataError
+            Nothing failed, but no scan came out of the recording.
+        """
+        closing_failure: Exception | None = None
+        for sink in self._sinks:
+            try:
+                sink.close(summary)
+            except Exception as error:
+                closing_failure = closing_failure or error
+        failure = closing_failure or self.failure
+        if failure is None and not self.tally.scans and not self.interrupted:
+            failure = DataError("no scan came out of the recording; `heliograph info` shows what it holds")
+        if failure is not None:
+            raise failure

@@ -22,6 +22,7 @@ __all__ = ["info", "print_table"]
 
 def info(
     recordings: options.Recordings,
+    reader: options.Reader = None,
     lidar_topic: options.LidarTopic = None,
     imu_topic: options.ImuTopic = None,
     extrinsic: options.Extrinsic = None,
@@ -36,7 +37,7 @@ def info(
     from heliograph.io.info import inspect_recording
 
     resolved = options.build_config(
-        config, settings, input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration)
+        config, settings, input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration, reader)
     )
     with open_recording(recordings, resolved.input) as recording:
         report = inspect_recording(recording)

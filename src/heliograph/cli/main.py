@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from heliograph.cli import calibrate, check, demo, evaluate, info, run, simulate, solve
+from heliograph.cli.options import PluggableCommand
 from heliograph.errors import HeliographError
 
 __all__ = ["app", "main"]
@@ -29,8 +30,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
-app.command("run", short_help="Recording in, trajectory and map out: the main job.")(run.run)
-app.command("info", short_help="What a recording holds and what was inferred from it.")(info.info)
+app.command("run", cls=PluggableCommand, short_help="Recording in, trajectory and map out: the main job.")(run.run)
+app.command("info", cls=PluggableCommand, short_help="What a recording holds and what was inferred from it.")(info.info)
 app.command("check", short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
 app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
 app.command("calibrate", short_help="Mounting and clock of LiDAR and IMU, or the IMU's noise.")(calibrate.calibrate)

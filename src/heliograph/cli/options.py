@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 if TYPE_CHECKING:
     from heliograph.config import RunConfig
 
-__all__ = ["MapFormat", "OdometryName", "build_config", "input_options", "sensor_list"]
+__all__ = ["MapFormat", "PluggableCommand", "build_config", "input_options", "sensor_list"]
 
 Recordings = Annotated[
     list[Path],
     typer.Argument(metavar="RECORDING", help="A bag, an MCAP file, a pcap, a folder, or several that belong together."),
+]
+Reader = Annotated[
+    str | None,
+    typer.Option("--reader", metavar="NAME", help="Reader of the recording; default: the first that knows it."),
 ]
 LidarTopic = Annotated[
     str | None, typer.Option("--lidar-topic", metavar="TOPIC", help="LiDAR topic, where there are several.")
@@ -45,10 +51,23 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no clos
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]
 
 
-class OdometryName(str, Enum):
-    """Estimators."""
+class PluggableCommand(TyperCommand):
+    """A command whose help lists the readers and odometries that are registered or installed."""
 
-    filter = "filter"
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - typer's own click has no public types
+        """Write the names under the options."""
+        from heliograph.io import reader_names
+        from heliograph.odometry import odometry_names
+
+        lists = {"reader": reader_names(), "odometry": odometry_names()}
+        options = {parameter.name for parameter in self.params}
+        with formatter.section("Names"):
+            formatter.write_dl([
+                (f"--{option}", f"{', '.join(names)}, or module:name of one's own in the current folder")
+                for option, names in lists.items()
+                if option in options
+            ])  # fmt: skip
+        super().format_epilog(ctx, formatter)
 
 
 class MapFormat(str, Enum):
@@ -81,14 +100,23 @@ def build_config(
     config = apply_overrides(config, settings or [])
     sections = {"input": _given(input), "output": _given(output)}
     changed = {name: replace(getattr(config, name), **values) for name, values in sections.items() if values}
-    return replace(config, **changed, **_given(run))
+    config = replace(config, **changed, **_given(run))
+    if ":" in config.odometry + config.input.reader and (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)  # a user's own module lies where the command is typed; behind all else, it hides nothing
+    return config
 
 
 def input_options(
-    lidar_topic: str | None, imu_topic: str | None, extrinsic: Path | None, start: float | None, duration: float | None
+    lidar_topic: str | None,
+    imu_topic: str | None,
+    extrinsic: Path | None,
+    start: float | None,
+    duration: float | None,
+    reader: str | None = None,
 ) -> dict[str, Any]:
     """Return the options that say how a recording is read, by their names in the configuration."""
     return {
+        "reader": reader,
         "lidar_topic": lidar_topic,
         "imu_topic": imu_topic,
         "extrinsic": None if extrinsic is None else str(extrinsic),

@@ -10,12 +10,12 @@ import typer
 
 from heliograph.cli import options
 from heliograph.cli.closing import print_closing
-from heliograph.cli.options import MapFormat, OdometryName
+from heliograph.cli.options import MapFormat
 
 if TYPE_CHECKING:
     from heliograph.config import RunConfig
     from heliograph.io import Recording
-    from heliograph.output.run_folder import MapAccumulator, RunFolder
+    from heliograph.output.run_folder import RunFolder
 
 __all__ = ["execute", "run"]
 
@@ -28,7 +28,8 @@ def run(
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_heliograph.")
     ] = None,
     overwrite: options.Overwrite = False,
-    odometry: Annotated[OdometryName | None, typer.Option("--odometry", help="Estimator.")] = None,
+    reader: options.Reader = None,
+    odometry: Annotated[str | None, typer.Option("--odometry", metavar="NAME", help="Estimator.")] = None,
     sensors: Annotated[
         str | None,
         typer.Option("--sensors", metavar="LIST", help="lidar,imu | lidar | imu; default: what the recording holds."),
@@ -53,8 +54,8 @@ def run(
     resolved = options.build_config(
         config,
         settings,
-        run={"odometry": odometry and odometry.value, "sensors": options.sensor_list(sensors), "threads": threads},
-        input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration),
+        run={"odometry": odometry, "sensors": options.sensor_list(sensors), "threads": threads},
+        input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration, reader),
         output={"body": frame, "map_format": map_format and map_format.value},
     )
     folder, interrupted = execute(recordings, resolved, output, overwrite=overwrite, progress=not quiet)
@@ -80,7 +81,9 @@ def execute(
     from heliograph.cli.progress import ProgressSink
     from heliograph.errors import OutputError
     from heliograph.io import open_recording
+    from heliograph.odometry import find_odometry
 
+    find_odometry(config.odometry)  # a wrong name is told before a recording is opened
     began = time.perf_counter()
     with interruptible() as stop, open_recording(recordings, config.input, sensors=config.sensors) as recording:
         pipeline.sensors_in_use(recording, config)  # a wrong choice is told before a folder is made
@@ -102,18 +105,12 @@ def _folder(
     import numpy as np
 
     from heliograph.config_toml import dump_config
-    from heliograph.maps import GlobalMap
-    from heliograph.output.background import BackgroundMap
     from heliograph.output.facts import plain, versions
     from heliograph.output.run_folder import RunFolder
     from heliograph.pipeline import sensors_in_use, thread_count
     from heliograph.report import write_report
 
     known_versions, name = versions(), paths[0].resolve().stem
-
-    def _map() -> MapAccumulator:
-        plain = GlobalMap(config.output.map_voxel)
-        return BackgroundMap(plain) if thread_count(config) > 1 else plain
 
     def facts() -> dict[str, Any]:
         recorded = plain(recording.summary())
@@ -123,10 +120,10 @@ def _folder(
         output or Path(f"{name}_heliograph"),
         name=name if name not in _GENERIC_NAMES else f"{paths[0].resolve().parent.name}/{name}",
         config=dump_config(config),
-        body=config.output.body,
+        output=config.output,
         T_imu_body=np.asarray(recording.transform(config.output.body)),
-        global_map=_map() if "lidar" in sensors_in_use(recording, config) else None,
-        map_format=config.output.map_format,
+        has_map="lidar" in sensors_in_use(recording, config),
+        threaded=thread_count(config) > 1,
         facts=facts,
         finishers=(write_report,),
         overwrite=overwrite,

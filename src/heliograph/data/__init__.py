@@ -10,6 +10,7 @@ from heliograph.data.online_calibration import OnlineCalibration
 from heliograph.data.result import ScanResult, ScanStatus
 from heliograph.data.rig import Rig
 from heliograph.data.scan import Scan
+from heliograph.data.source import Message, Source
 from heliograph.data.start import StartAccount
 from heliograph.data.trajectory import Trajectory
 
@@ -20,12 +21,14 @@ __all__ = [
     "ImuClock",
     "ImuNoise",
     "ImuRecord",
+    "Message",
     "NavState",
     "OnlineCalibration",
     "Rig",
     "Scan",
     "ScanResult",
     "ScanStatus",
+    "Source",
     "StartAccount",
     "Trajectory",
 ]

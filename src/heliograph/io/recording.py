@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import InputConfig
-from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, ImuRecord, Rig, Scan
+from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, ImuRecord, Message, Rig, Scan
 from heliograph.errors import CalibrationError, ConfigError, DataError, closest
 from heliograph.io.bags.rosbag import RosbagSource
 from heliograph.io.inference.imu_units import is_usable
@@ -29,7 +29,6 @@ __all__ = ["Recording", "open_recording"]
 _MAX_CLOCK_DRIFT_S = 0.02  # by which a clock found at another time may have drifted since [s]
 _WATCH_EVERY = 1000  # samples
 MAX_BATCH = 256  # samples; bounds how long an estimator waits where no scan comes
-Measurement = Scan | ImuBatch | GnssFix
 
 
 def open_recording(
@@ -66,7 +65,7 @@ def open_recording(
     """
     config = config or InputConfig()
     given = [paths] if isinstance(paths, str | Path) else list(paths)
-    source = open_raw_source([Path(path) for path in given])
+    source = open_raw_source([Path(path) for path in given], reader=config.reader)
     try:
         return Recording(source, interpret(source, config, sensors), config)
     except BaseException:
@@ -75,7 +74,7 @@ def open_recording(
 
 
 class Recording:
-    """An opened recording; see `open_recording`.
+    """An opened recording, a `Source`; see `open_recording`.
 
     Attributes
     ----------
@@ -87,7 +86,11 @@ class Recording:
         The LiDAR on the IMU.
     sensors : frozenset of str
         What the recording holds: ``"lidar"``, ``"imu"``, ``"gnss"``.
+    repeatable : bool
+        True: `stream` begins anew with each call.
     """
+
+    repeatable = True
 
     def __init__(self, source: RawSource, interpretation: Interpretation, config: InputConfig) -> None:
         self._source = source
@@ -162,7 +165,7 @@ class Recording:
             f"no tf links frame '{child}' with the sensors; known frames: {', '.join(known)}{closest(child, known)}"
         )
 
-    def stream(self) -> Iterator[Measurement]:
+    def stream(self) -> Iterator[Message]:
         """Yield scans, IMU batches and fixes in the order in which they were received.
 
         A batch holds the samples between two other messages, 256 at most. Messages whose stamp repeats or runs back
@@ -316,7 +319,7 @@ class Recording:
         stamp_ns = message.stamp_ns if self.interpretation.timing.stamp == "header" else message.received_ns
         return self.tally.lidar.accept(stamp_ns, message.received_ns)
 
-    def _convert(self, message: RawMessage) -> Measurement | None:
+    def _convert(self, message: RawMessage) -> Message | None:
         if isinstance(message, RawCloud):
             return self._scan(message)
         if isinstance(message, RawFix) and self.tally.gnss.accept(message.stamp_ns, message.received_ns):

@@ -6,25 +6,41 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.errors import DataError, FormatError
+from heliograph.errors import ConfigError, DataError, FormatError
 from heliograph.io.raw import RawMessage, RawSource, TopicInfo
+from heliograph.plugins import find_plugin, installed_plugins, plugin_names
 
-__all__ = ["OPENERS", "PACKET_DRIVERS", "PacketContext", "PacketDecoder", "open_raw_source", "packet_decoder"]
+__all__ = [
+    "OPENERS",
+    "PACKET_DRIVERS",
+    "Opener",
+    "PacketContext",
+    "PacketDecoder",
+    "open_raw_source",
+    "packet_decoder",
+    "reader_names",
+    "register_reader",
+]
 
-OPENERS: tuple[tuple[str, str], ...] = (
-    ("heliograph.io.bags.rosbag", "open_rosbag"),
-    ("heliograph.io.packets.pcap", "open_pcap"),
-    ("heliograph.io.files.kitti", "open_kitti"),
-    ("heliograph.io.files.folders", "open_cloud_folder"),
-    ("heliograph.io.files.imu_files", "open_imu_file"),
-)
-"""Module and function of every reader, asked in this order. ``opener(paths)`` returns a `RawSource`, or None for
-another kind."""
+Opener = Callable[[Sequence[Path]], RawSource | None]
+"""Takes the paths of one recording; returns it opened, or None where they are of another kind."""
+
+GROUP = "heliograph.readers"
+
+OPENERS: dict[str, Opener | str] = {
+    "rosbag": "heliograph.io.bags.rosbag:open_rosbag",
+    "pcap": "heliograph.io.packets.pcap:open_pcap",
+    "kitti": "heliograph.io.files.kitti:open_kitti",
+    "clouds": "heliograph.io.files.folders:open_cloud_folder",
+    "imu": "heliograph.io.files.imu_files:open_imu_file",
+}
+"""Name -> opener, or ``"module:function"`` of one, asked in this order; `register_reader` puts others before them.
+Packages add theirs as entry points of the group ``heliograph.readers``, which are asked last."""
 
 PACKET_DRIVERS: Mapping[str, str] = {
     "ouster_sensor_msgs/msg/PacketMsg": "ouster",
@@ -95,19 +111,69 @@ def packet_decoder(message_type: str, context: PacketContext) -> PacketDecoder:
     return factories[message_type](context)
 
 
-def open_raw_source(paths: Sequence[Path]) -> RawSource:
-    """Open files or folders with the first reader that knows them.
+def register_reader(name: str, opener: Opener | str) -> None:
+    """Let a reader open recordings: it is asked before those that stand already, and may be named with ``--reader``.
+
+    Parameters
+    ----------
+    name : str
+        A name that stands already is taken over, and keeps its place.
+    opener : callable or str
+        Called as ``opener(paths)``; returns a `RawSource`, or None for another kind of file. Or ``"module:function"``
+        of such a callable, which is imported when it is needed.
+
+    Raises
+    ------
+    ConfigError
+        A name that is empty or holds a colon.
+    """
+    if not name or ":" in name:
+        raise ConfigError(f"'{name}' cannot name a reader; give a word without a colon")
+    others = {} if name in OPENERS else dict(OPENERS)
+    for other in others:
+        del OPENERS[other]
+    OPENERS.update({name: opener, **others})
+
+
+def reader_names() -> list[str]:
+    """Return the names of all readers, registered and installed."""
+    return plugin_names(OPENERS, GROUP)
+
+
+def open_raw_source(paths: Sequence[Path], *, reader: str = "") -> RawSource:
+    """Open files or folders with the reader that is named, or with the first that knows them.
 
     Parameters
     ----------
     paths : sequence of Path
         One recording: a file, a folder, or several of them that belong together.
+    reader : str
+        As registered, of an entry point, or ``"module:function"``; by default all are asked.
 
     Raises
     ------
     FormatError
-        A path does not exist, is empty, or is no recording that any reader knows.
+        A path does not exist, is empty, or is no recording that any reader, or the one named, knows.
+    ConfigError
+        No reader has this name (the message names the nearest), or it cannot be imported.
     """
+    _check_paths(paths)
+    names = [reader] if reader else [*OPENERS, *sorted({*installed_plugins(GROUP)} - {*OPENERS})]
+    for name in names:
+        opener: Opener = find_plugin("reader", name, OPENERS, GROUP)
+        source = opener(paths)
+        if source is not None:
+            return source
+    known = "ROS 1 or 2 bag, MCAP, pcap, KITTI folder, folder of PCD or PLY, IMU table"
+    reason = (
+        f"not a recording that the reader '{reader}' knows; leave --reader out to ask all"
+        if reader
+        else (f"not a recording that Heliograph reads ({known})")
+    )
+    raise FormatError(paths[0], reason)
+
+
+def _check_paths(paths: Sequence[Path]) -> None:
     if not paths:
         raise DataError("no recording given; name a file or a folder")
     for path in paths:
@@ -119,10 +185,3 @@ def open_raw_source(paths: Sequence[Path]) -> RawSource:
             raise FormatError(path, "the folder is empty; name a folder that holds a recording")
         if path.is_file() and path.stat().st_size == 0:
             raise FormatError(path, "the file is empty; record or download it again")
-    for module, function in OPENERS:
-        opener: Any = getattr(import_module(module), function)
-        source: RawSource | None = opener(paths)
-        if source is not None:
-            return source
-    known = "ROS 1 or 2 bag, MCAP, pcap, KITTI folder, folder of PCD or PLY, IMU table"
-    raise FormatError(paths[0], f"not a recording that Heliograph reads ({known})")

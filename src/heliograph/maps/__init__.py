@@ -1,7 +1,7 @@
 """Local and global maps."""
 
-from heliograph.maps.global_map import GlobalMap
+from heliograph.maps.global_map import GlobalMap, MapCells
 from heliograph.maps.protocol import NEIGHBOURS, LocalMap, PlaneMatches
 from heliograph.maps.voxel_map import VoxelMap
 
-__all__ = ["NEIGHBOURS", "GlobalMap", "LocalMap", "PlaneMatches", "VoxelMap"]
+__all__ = ["NEIGHBOURS", "GlobalMap", "LocalMap", "MapCells", "PlaneMatches", "VoxelMap"]

@@ -1,13 +1,48 @@
-"""The map that a run writes."""
+"""The map that a run writes, and the cells in which its parts are kept."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.data.arrays import frozen
 
-__all__ = ["GlobalMap"]
+__all__ = ["GlobalMap", "MapCells"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapCells:
+    """What the cubes of a map have added up: enough to carry on with it elsewhere.
+
+    Parameters
+    ----------
+    cubes : (M, 3) int32
+        Index of each cube along the axes; cube i covers ``[i, i + 1) * voxel``.
+    sums : (M, 3) float32
+        Sum of its points' offsets from the cube's centre [m].
+    intensity : (M,) float32
+        Sum of their intensity.
+    counts : (M,) float32
+        How many points it holds.
+    """
+
+    cubes: NDArray[np.int32]
+    sums: NDArray[np.float32]
+    intensity: NDArray[np.float32]
+    counts: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        n = len(self.counts)
+        object.__setattr__(self, "cubes", frozen("cubes", self.cubes, np.int32, (n, 3)))
+        object.__setattr__(self, "sums", frozen("sums", self.sums, np.float32, (n, 3)))
+        object.__setattr__(self, "intensity", frozen("intensity", self.intensity, np.float32, (n,)))
+        object.__setattr__(self, "counts", frozen("counts", self.counts, np.float32, (n,)))
+
+    def __len__(self) -> int:
+        return len(self.counts)
 
 
 class GlobalMap:
@@ -28,6 +63,31 @@ class GlobalMap:
         """Add points (N, 3) of the imu frame [m] seen from the pose (4, 4), with one intensity each or None."""
         values = np.zeros(0, np.float32) if intensity is None else np.ascontiguousarray(intensity)
         self._native.insert(np.ascontiguousarray(points_imu), values, np.ascontiguousarray(T_map_imu))
+
+    def merge(self, cells: MapCells, T_map_odom: NDArray[np.float64] | None = None) -> None:
+        """Add the cells of a map with cubes of the same edge.
+
+        Parameters
+        ----------
+        cells : MapCells
+            Of the map in its own frame, here called odom.
+        T_map_odom : (4, 4) float64, optional
+            That frame in this map's. The mean of each cell goes, with its weight, into the cube where it comes to lie.
+            By default the frames are one, and cell is added to cell.
+        """
+        T = None if T_map_odom is None else np.ascontiguousarray(T_map_odom, dtype=np.float64)
+        self._native.merge(cells.cubes, cells.sums, cells.intensity, cells.counts, T)
+
+    def cells(self) -> MapCells:
+        """Return what the cubes have added up, in the order in which they were first seen."""
+        native = self._native
+        return MapCells(
+            cubes=native.cubes(), sums=native.sums(), intensity=native.intensity_sums(), counts=native.counts()
+        )
+
+    def clear(self) -> None:
+        """Forget all points, and keep the memory for the next ones."""
+        self._native.clear()
 
     def points(self) -> NDArray[np.float32]:
         """Return the mean point of each cube, (M, 3), map frame [m], in the order in which cubes were first seen."""

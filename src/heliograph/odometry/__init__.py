@@ -1,6 +1,25 @@
 """Odometry: from scans and inertial samples to poses."""
 
 from heliograph.odometry.filter.odometry import FilterOdometry
-from heliograph.odometry.protocol import Odometry, make_odometry
+from heliograph.odometry.pose_result import pose_result
+from heliograph.odometry.protocol import Odometry
+from heliograph.odometry.registry import (
+    ODOMETRIES,
+    OdometryFactory,
+    find_odometry,
+    make_odometry,
+    odometry_names,
+    register_odometry,
+)
 
-__all__ = ["FilterOdometry", "Odometry", "make_odometry"]
+__all__ = [
+    "ODOMETRIES",
+    "FilterOdometry",
+    "Odometry",
+    "OdometryFactory",
+    "find_odometry",
+    "make_odometry",
+    "odometry_names",
+    "pose_result",
+    "register_odometry",
+]

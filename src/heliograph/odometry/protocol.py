@@ -1,58 +1,46 @@
-"""What every odometry does, and the one place that makes one."""
+"""What every odometry does; `heliograph.testing.assert_odometry` is its law."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.config import RunConfig
-from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult
-from heliograph.errors import ConfigError, closest
-from heliograph.odometry.filter.odometry import FilterOdometry
+from heliograph.data import Event, Message, ScanResult, StartAccount
 
-__all__ = ["Odometry", "make_odometry"]
+__all__ = ["Odometry"]
 
 
 class Odometry(Protocol):
-    """Causal estimation: messages go in as they were received, results come out when they are ready."""
+    """Causal estimation: messages go in as they were received, results come out when they are ready.
+
+    Inherit from it to get the verbs that have an answer for those who know nothing about the matter.
+
+    Attributes
+    ----------
+    events : list of Event
+        What a user should know, beside the events of single results. It grows only.
+    start : StartAccount or None
+        How it began; None as long as it has not, or where it does not tell.
+    """
 
     events: list[Event]
+    start: StartAccount | None = None
 
-    def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
-        """Take one message and return the results that it made ready, in time order; often none."""
+    @abstractmethod
+    def add(self, message: Message) -> list[ScanResult]:
+        """Take one message and return the results that it made ready, in time order; often none.
+
+        What is returned is the same, to the bit, however the IMU's samples are cut into batches.
+        """
         ...
 
     def finish(self) -> list[ScanResult]:
-        """Return the results still waiting: the stream has ended."""
-        ...
+        """Return the results still waiting: the stream has ended. A second call returns none."""
+        return []
 
     def leveling(self) -> NDArray[np.float64]:
         """Return ``T_leveled_odom`` (4, 4): the rotation that puts z up by all that was learnt about gravity."""
-        ...
-
-
-def make_odometry(config: RunConfig, rig: Rig, sensors: frozenset[str], threads: int) -> Odometry:
-    """Return the odometry that ``config.odometry`` names.
-
-    Parameters
-    ----------
-    config : RunConfig
-    rig : Rig
-        Mounting of the LiDAR on the IMU.
-    sensors : frozenset of str
-        What to use of ``"lidar"`` and ``"imu"``.
-    threads : int
-        Of the native loops; the result does not depend on it.
-
-    Raises
-    ------
-    ConfigError
-        Unknown name, or no usable sensor.
-    """
-    if config.odometry != "filter":
-        raise ConfigError(f"odometry '{config.odometry}' is not one of 'filter'{closest(config.odometry, ['filter'])}")
-    if not sensors & {"lidar", "imu"}:
-        raise ConfigError("neither a LiDAR nor an IMU to work with; see --sensors")
-    return FilterOdometry(config, rig, sensors=sensors, threads=threads)
+        return np.eye(4)

@@ -1,53 +1,53 @@
-"""The output map, filled beside the estimation: its insertions wait for memory, not for the processor."""
+"""Work beside the estimation: the output map's insertions wait for memory, not for the processor."""
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-import numpy as np
-from numpy.typing import NDArray
+__all__ = ["Background"]
 
-from heliograph.output.run_folder import MapAccumulator
-
-__all__ = ["BackgroundMap"]
-
-_DEPTH = 2  # scans waiting; each holds its points
+_MAX_WAITING = 2  # scans; each holds its points
 
 
-class BackgroundMap(MapAccumulator):
-    """Inserts scans into another map in one thread, in order, so that the result is the same as without it.
+class Background:
+    """Does one job after another in a thread of its own, or at once where it has none.
 
-    An insertion's failure is raised by a later call. Reading waits for all insertions.
+    The order is kept, so that the result is the same either way. A job's failure is raised by a later call.
 
     Parameters
     ----------
-    inner : MapAccumulator
-        Used by the thread until something is read.
+    threaded : bool
+        Whether to use a thread.
     """
 
-    def __init__(self, inner: MapAccumulator) -> None:
-        self._inner = inner
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="heliograph-map")
-        self._pending: deque[Future[None]] = deque()
+    def __init__(self, *, threaded: bool) -> None:
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="heliograph-map") if threaded else None
+        self._waiting: deque[Future[None]] = deque()
 
-    def insert(
-        self, points_imu: NDArray[np.float32], intensity: NDArray[np.float32] | None, T_map_imu: NDArray[np.float64]
-    ) -> None:
-        """Queue a scan; wait first where two are queued already."""
-        self._wait(_DEPTH - 1)
-        self._pending.append(self._thread.submit(self._inner.insert, points_imu, intensity, T_map_imu))
+    def do(self, job: Callable[[], None]) -> None:
+        """Queue a job, then wait until no more than two are queued; a failure of one before it is raised by then."""
+        if self._thread is None:
+            job()
+            return
+        self._waiting.append(self._thread.submit(job))
+        self._drain(_MAX_WAITING)
 
-    def points(self) -> NDArray[np.float32]:
-        """Return (N, 3) averaged points [m]."""
-        self._wait(0)
-        return self._inner.points()
+    def wait(self) -> None:
+        """Return when all is done; with failures, the first one is raised once nothing is under way any more."""
+        try:
+            self._drain(0)
+        finally:
+            while self._waiting:
+                self._waiting.popleft().exception()
 
-    def intensity(self) -> NDArray[np.float32] | None:
-        """Return their (N,) mean intensity."""
-        self._wait(0)
-        return self._inner.intensity()
+    def close(self) -> None:
+        """Finish what is queued and end the thread, whatever became of the jobs."""
+        if self._thread is not None:
+            self._thread.shutdown()
+        self._waiting.clear()
 
-    def _wait(self, left: int) -> None:
-        while len(self._pending) > left:
-            self._pending.popleft().result()
+    def _drain(self, left: int) -> None:
+        while len(self._waiting) > left:
+            self._waiting.popleft().result()

@@ -8,46 +8,31 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.atomic import check_output_directory, write_text
-from heliograph.data import GnssFix, ImuBatch, OnlineCalibration, Scan, ScanResult
+from heliograph.config import OutputConfig
+from heliograph.data import ImuBatch, Message, OnlineCalibration, ScanResult
 from heliograph.errors import OutputError
 from heliograph.io.files.clouds import write_cloud
 from heliograph.output.facts import final_facts
+from heliograph.output.map_writer import MapWriter
 from heliograph.output.record import RunRecord
 from heliograph.output.scan_log import ScanLog
 from heliograph.output.sink import Sink
 from heliograph.output.summary import RunSummary
 from heliograph.output.trajectories import FILES, TrajectoryFiles
 
-__all__ = ["MapAccumulator", "RunFolder"]
+__all__ = ["RunFolder"]
 
 _FLUSH_EVERY = 50  # scans; a crash costs at most these
 _OWN_FORMATS = ("ply", "pcd")  # written without any other package
 _MAPS = ("map.ply", "map.pcd", "map.laz")
-_OWN = (*FILES, *_MAPS, "map.png", "scans.csv", "report.html", "config.toml", "run.json")
-
-
-class MapAccumulator(Protocol):
-    """What the folder needs of the output map; `heliograph.maps.GlobalMap` is one."""
-
-    def insert(
-        self, points_imu: NDArray[np.float32], intensity: NDArray[np.float32] | None, T_map_imu: NDArray[np.float64]
-    ) -> None:
-        """Add a scan."""
-        ...
-
-    def points(self) -> NDArray[np.float32]:
-        """Return (N, 3) averaged points [m]."""
-        ...
-
-    def intensity(self) -> NDArray[np.float32] | None:
-        """Return their (N,) mean intensity."""
-        ...
+SUBMAPS = "submaps.bin"
+_OWN = (*FILES, *_MAPS, SUBMAPS, "map.png", "scans.csv", "report.html", "config.toml", "run.json")
 
 
 class RunFolder(Sink):
@@ -64,14 +49,14 @@ class RunFolder(Sink):
         Of the recording.
     config : str
         The resolved configuration as TOML, written as ``config.toml``.
-    body : str
-        Name of the frame whose poses are written.
+    output : OutputConfig
+        The map's cubes and format, the frame whose poses are written, when a keyframe comes.
     T_imu_body : (4, 4) float64
-        That frame on the IMU.
-    global_map : MapAccumulator or None
-        Collects the points; None where there is no LiDAR, so no map.
-    map_format : str
-        ``"ply"``, ``"pcd"`` or ``"laz"``.
+        The frame whose poses are written, on the IMU.
+    has_map : bool
+        False where there is no LiDAR, so no map.
+    threaded : bool
+        Whether the map is added up in a thread of its own.
     facts : callable
         Returns what ``run.json`` says beside the results (recording, inferences, versions); asked before and after
         the run.
@@ -92,38 +77,42 @@ class RunFolder(Sink):
         *,
         name: str,
         config: str,
-        body: str,
+        output: OutputConfig,
         T_imu_body: NDArray[np.float64],
-        global_map: MapAccumulator | None,
-        map_format: str = "ply",
+        has_map: bool = True,
+        threaded: bool = False,
         facts: Callable[[], Mapping[str, Any]] = dict,
         finishers: Sequence[Callable[[RunRecord], list[Path]]] = (),
         overwrite: bool = False,
     ) -> None:
         self._created = not path.exists()
         self.path = check_output_directory(path, overwrite)
-        self.name, self.config, self.map_format, self._finishers = name, config, map_format, tuple(finishers)
+        self.name, self.config, self._output, self._finishers = name, config, output, tuple(finishers)
         self._facts = facts
         self.facts: dict[str, Any] = dict(facts())
         self.files: list[Path] = []
         self.writer_seconds: dict[str, float] = {}
         self.record: RunRecord | None = None
-        self._map = global_map
+        self._map: MapWriter | None = None
         self._count = 0
         self._calibration: OnlineCalibration | None = None
         with self._nothing_left_on_failure():
             write_text(path / "config.toml", config)
             write_text(path / "run.json", json.dumps({"status": "running", **self.facts}, indent=2, default=str) + "\n")
-            if global_map is not None and map_format not in _OWN_FORMATS:
+            if has_map and output.map_format not in _OWN_FORMATS:
                 # What the format needs may not be installed; that must not come out after an hour's run.
-                write_cloud(path / f"map.{map_format}", np.zeros((1, 3), dtype=np.float32))
-                (path / f"map.{map_format}").unlink()
+                write_cloud(self._map_path, np.zeros((1, 3), dtype=np.float32))
+                self._map_path.unlink()
             version = str(self.facts.get("versions", {}).get("heliograph", ""))
-            stamp = "time of the pose [s]" if global_map is None else "header stamp of a LiDAR message [s]"
-            self._trajectories = TrajectoryFiles(path, body=body, T_imu_body=T_imu_body, version=version, stamp=stamp)
+            stamp = "header stamp of a LiDAR message [s]" if has_map else "time of the pose [s]"
+            self._trajectories = TrajectoryFiles(
+                path, body=output.body, T_imu_body=T_imu_body, version=version, stamp=stamp
+            )
             self._log = ScanLog(path / "scans.csv")
+            if has_map:
+                self._map = MapWriter(path / SUBMAPS, output, threaded=threaded)
 
-    def observe(self, message: Scan | ImuBatch | GnssFix) -> None:
+    def observe(self, message: Message) -> None:
         """Note the IMU's stamps."""
         if isinstance(message, ImuBatch):
             self._trajectories.observe(message)
@@ -136,7 +125,7 @@ class RunFolder(Sink):
             self._log.add(result)
         if self._map is not None and len(result.points_imu) and result.status != "lost":
             with self._timed("map"):
-                self._map.insert(result.points_imu, result.intensity, result.T_odom_imu)
+                self._map.add(result)
         self._calibration = result.calibration
         self._count += 1
         if self._count % _FLUSH_EVERY == 0:
@@ -151,17 +140,17 @@ class RunFolder(Sink):
             return
         failures: list[Exception] = []
         began = time.perf_counter()
+        points, intensity = self._map_points(summary, failures)
+        table = self._log.table(summary.final)
+        self.files += [*self._trajectories.paths, self._log.path]
         with self._step("trajectory", failures):
-            self.files += self._trajectories.close(summary.T_map_odom)
+            self._trajectories.close(summary.final, summary.T_map_odom)
         with self._step("scans.csv", failures):
-            table = self._log.close(summary.T_map_odom[:3, :3])
-            self.files.append(self._log.path)
-        points, intensity = self._map_cloud(summary.T_map_odom)
+            self._log.close(table)
         with self._step("map", failures):
             if len(points):
-                path = self.path / f"map.{self.map_format}"
-                write_cloud(path, points, intensity)
-                self.files.append(path)
+                write_cloud(self._map_path, points, intensity)
+                self.files.append(self._map_path)
         self.facts = dict(self._facts())
         if self._calibration is not None:
             self.facts["online_calibration"] = self._calibration.summary()
@@ -189,23 +178,40 @@ class RunFolder(Sink):
         """Release the files of a run that never came to its `close`; without a scan, remove them."""
         if self.record is None and self._count == 0:
             self._discard()
-        self._trajectories.release()
-        self._log.release()
+        else:
+            self._release()
 
-    def _map_cloud(self, T_map_odom: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        if self._map is None:
+    @property
+    def _map_path(self) -> Path:
+        return self.path / f"map.{self._output.map_format}"
+
+    def _map_points(
+        self, summary: RunSummary, failures: list[Exception]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Return the map, and remove the submaps that it was made of unless they are to stay."""
+        writer, self._map = self._map, None
+        if writer is None:
             return np.zeros((0, 3), dtype=np.float32), None
-        with self._timed("map"):
-            points = self._map.points()
-            if not np.array_equal(T_map_odom, np.eye(4)):
-                points = _moved(points, T_map_odom)
-            return points, self._map.intensity()
+        points, intensity = np.zeros((0, 3), dtype=np.float32), None
+        with self._step("map", failures):
+            points, intensity = writer.points(summary.final)
+        with self._step("map", failures):
+            # From here on the map is in memory: what it was made of gives room on a disk that may be full.
+            keep = bool(failures) or (self._output.keep_submaps and not summary.failure)
+            writer.release(keep=keep)
+            self.files += [writer.path] if keep else []
+        return points, intensity
 
     def _discard(self) -> None:
         """Leave nothing of a run that has no result."""
+        self._release()
+        self._remove()
+
+    def _release(self) -> None:
         self._trajectories.release()
         self._log.release()
-        self._remove()
+        if self._map is not None:
+            self._map.release(keep=True)
 
     def _remove(self) -> None:
         for name in _OWN:
@@ -241,12 +247,3 @@ class RunFolder(Sink):
             failures.append(OutputError(f"cannot write into {self.path}: {error.strerror or error}"))
         except Exception as error:
             failures.append(error)
-
-
-def _moved(points: NDArray[np.float32], T: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Transform points (N, 3), block by block: all at once, BLAS would start threads that then spin beside us."""
-    moved = np.empty_like(points)
-    for first in range(0, len(points), 8192):
-        block = points[first : first + 8192].astype(np.float64)
-        moved[first : first + 8192] = block @ T[:3, :3].T + T[:3, 3]
-    return moved

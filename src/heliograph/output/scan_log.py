@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from heliograph.data import OnlineCalibration, ScanResult
 from heliograph.io.files.csvs import CsvWriter
 from heliograph.lie import so3
+from heliograph.output.final_poses import FinalPoses
 
 __all__ = ["ScanLog", "ScanTable"]
 
@@ -60,7 +61,7 @@ CALIBRATION = (
     "sigma_imu_drift_ppm",
     "directions_kept",
 )
-# Columns that are vectors in the odom frame and turn with it when gravity is re-estimated at the end.
+# Columns in the odom frame, which turn when gravity is re-estimated at the end or a back-end moves the scan.
 ODOM_VECTORS = ("weak_direction", "velocity", "position")
 
 
@@ -86,7 +87,7 @@ class ScanTable:
         statuses: list[str],
         stages: dict[str, NDArray[np.float64]],
     ) -> None:
-        self._integers, self._floats = integers, floats
+        self._integers, self.floats = integers, floats
         self.statuses, self.stages = statuses, stages
 
     def __len__(self) -> int:
@@ -95,12 +96,12 @@ class ScanTable:
     def __getitem__(self, name: str) -> NDArray[np.float64] | NDArray[np.int64]:
         if name in INTEGERS:
             return self._integers[:, INTEGERS.index(name)]
-        return self._floats[:, FLOATS.index(name)]
+        return self.floats[:, FLOATS.index(name)]
 
     def triple(self, name: str) -> NDArray[np.float64]:
         """Return the (N, 3) columns of a vector such as ``"gyro_bias"`` or ``"eigenvalue_rotation"``."""
         first = next(i for i, column in enumerate(FLOATS) if column.rpartition("_")[0] == name)
-        return self._floats[:, first : first + 3]
+        return self.floats[:, first : first + 3]
 
     @property
     def seconds(self) -> NDArray[np.float64]:
@@ -162,27 +163,32 @@ class ScanLog:
         if self._writer is not None:
             self._writer.close()
 
-    def close(self, R_map_odom: NDArray[np.float64]) -> ScanTable:
-        """Finish the file and return the table, both in map-frame axes.
+    def table(self, final: FinalPoses) -> ScanTable:
+        """Return the rows so far in the map frame, where ``final`` puts the scans."""
+        floats = np.array(self._floats).reshape(-1, len(FLOATS))
+        integers = np.array(self._integers, dtype=np.int64).reshape(-1, len(INTEGERS))
+        T_map_odom = final.rigid
+        if T_map_odom is None:
+            T_map_odom = final.T_map_odom(integers[:, INTEGERS.index("end_ns")])
+        if not np.array_equal(T_map_odom, np.eye(4)):
+            floats = self._moved(floats, T_map_odom)
+        stages = tuple(dict.fromkeys(stage for timings in self._timings for stage in timings))
+        milliseconds = {stage: np.array([timings.get(stage, 0.0) for timings in self._timings]) for stage in stages}
+        return ScanTable(integers, floats, list(self._statuses), milliseconds)
 
-        Rewrites the file where the map frame turned out tilted against odom, or where a later scan named a stage that
-        the first row did not have.
+    def close(self, table: ScanTable) -> None:
+        """Finish the file.
+
+        It is written anew where the rows moved since they were written, or where a later scan named a stage that the
+        first one did not have.
         """
         self.release()
-        floats = np.array(self._floats).reshape(-1, len(FLOATS))
-        stages = tuple(dict.fromkeys(stage for timings in self._timings for stage in timings))
-        turned = not np.array_equal(R_map_odom, np.eye(3))
-        if turned:
-            floats = self._turned(floats, R_map_odom)
-        if self._writer is not None and (turned or stages != self._stages):
-            self._stages = stages
-            self._rewrite(floats)
-        return ScanTable(
-            np.array(self._integers, dtype=np.int64).reshape(-1, len(INTEGERS)),
-            floats,
-            list(self._statuses),
-            {stage: np.array([timings.get(stage, 0.0) for timings in self._timings]) for stage in stages},
-        )
+        written = np.array(self._floats).reshape(-1, len(FLOATS))
+        if self._writer is not None and not (
+            tuple(table.stages) == self._stages and np.array_equal(table.floats, written, equal_nan=True)
+        ):
+            self._stages = tuple(table.stages)
+            self._rewrite(table.floats)
 
     def _columns(self) -> tuple[str, ...]:
         more = CALIBRATION if self._calibrations else ()
@@ -195,12 +201,17 @@ class ScanLog:
         total = round(sum(timings.values()), 4)
         return [*integers, self._statuses[number], *_shortened(floats), total, *stages, *more]
 
-    def _turned(self, floats: NDArray[np.float64], R_map_odom: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _moved(self, floats: NDArray[np.float64], T_map_odom: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the rows with their vectors moved by one (4, 4) for all, or by one a row (N, 4, 4)."""
+        R_map_odom = T_map_odom[..., :3, :3]
+        R_odom_map = R_map_odom.swapaxes(-1, -2)
         floats = floats.copy()
         for name in ODOM_VECTORS:
             first = FLOATS.index(f"{name}_x")
-            floats[:, first : first + 3] = floats[:, first : first + 3] @ R_map_odom.T
-        covariances = R_map_odom @ np.array(self._position_covariances).reshape(-1, 3, 3) @ R_map_odom.T
+            vectors = floats[:, first : first + 3]
+            turned = vectors @ R_odom_map if R_odom_map.ndim == 2 else (vectors[:, None] @ R_odom_map)[:, 0]
+            floats[:, first : first + 3] = turned + T_map_odom[..., :3, 3] if name == "position" else turned
+        covariances = R_map_odom @ np.array(self._position_covariances).reshape(-1, 3, 3) @ R_odom_map
         first = FLOATS.index("sigma_position_x")
         floats[:, first : first + 3] = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
         return floats

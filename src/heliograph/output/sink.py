@@ -1,10 +1,10 @@
-"""Where results go: files, a viewer, a test's list."""
+"""Where results go: files, a viewer, a test's list; `heliograph.testing.assert_sink` is the law."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from heliograph.data import GnssFix, ImuBatch, Scan, ScanResult
+from heliograph.data import Message, ScanResult
 from heliograph.output.summary import RunSummary
 
 __all__ = ["Sink"]
@@ -23,7 +23,7 @@ class Sink(Protocol):
     ...         self.heights.append(float(result.T_odom_imu[2, 3]))
     """
 
-    def observe(self, message: Scan | ImuBatch | GnssFix) -> None:  # noqa: ARG002
+    def observe(self, message: Message) -> None:  # noqa: ARG002
         """Take a message of the recording, before the odometry gets it."""
         return
 

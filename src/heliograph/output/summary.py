@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import Event, ScanResult, StartAccount
+from heliograph.output.final_poses import FinalPoses
 
 __all__ = ["RunSummary", "Tally", "fold_events", "judge"]
 
@@ -61,6 +62,9 @@ class RunSummary:
         Warnings of the recording and of the odometry, repeats folded.
     T_map_odom : (4, 4) float64
         Applied to every written pose and map point: the odometry's last word on which way is up.
+    final_poses : FinalPoses or None
+        Poses of keyframes that a back-end moved; then they take the place of ``T_map_odom``, but for the file of the
+        odom frame. None where nothing was moved.
     start : StartAccount or None
         How the odometry began; None where it does not tell.
     failure : str
@@ -84,8 +88,14 @@ class RunSummary:
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     T_map_odom: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    final_poses: FinalPoses | None = None
     start: StartAccount | None = None
     failure: str = ""
+
+    @property
+    def final(self) -> FinalPoses:
+        """Where the run has been after all: `final_poses`, or all of it moved by ``T_map_odom``."""
+        return FinalPoses.moved_by(self.T_map_odom) if self.final_poses is None else self.final_poses
 
     @property
     def ms_per_scan(self) -> float:

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.atomic import atomic_path
 from heliograph.data import ImuBatch, ScanResult, Trajectory
-from heliograph.io.files.tum import TumWriter, read_tum, write_tum
+from heliograph.io.files.tum import TumWriter, parse_seconds
+from heliograph.lie import so3
+from heliograph.output.final_poses import FinalPoses
 
 __all__ = ["FILES", "TrajectoryFiles"]
 
-FILES = ("trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum")
+_TRAJECTORY, _ODOMETRY, _IMU_RATE = FILES = ("trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum")
+_BLOCK = 4096  # rows rewritten at once
 
 
 class TrajectoryFiles:
@@ -37,7 +42,7 @@ class TrajectoryFiles:
         self.folder, self.body, self.T_imu_body, self.version = folder, body, T_imu_body, version
         self._scan_rate = {
             name: TumWriter(folder / name, self.header(frame, stamp))
-            for name, frame in (("trajectory.tum", "map"), ("odometry.tum", "odom"))
+            for name, frame in ((_TRAJECTORY, "map"), (_ODOMETRY, "odom"))
         }
         self._imu_rate: TumWriter | None = None
         self._pending: list[NDArray[np.int64]] = []
@@ -71,7 +76,7 @@ class TrajectoryFiles:
         if not new.any():
             return
         if self._imu_rate is None:
-            self._imu_rate = TumWriter(self.folder / FILES[2], self.header("map", "time of an IMU sample [s]"))
+            self._imu_rate = TumWriter(self.folder / _IMU_RATE, self.header("map", "time of an IMU sample [s]"))
         self._imu_rate.extend(path.stamps_ns[new], path.T_frame_body[new] @ self.T_imu_body)
 
     def writers(self) -> Iterator[TumWriter]:
@@ -90,18 +95,40 @@ class TrajectoryFiles:
         for writer in self.writers():
             writer.close()
 
-    def close(self, T_map_odom: NDArray[np.float64]) -> list[Path]:
-        """Finish the files; those of the map frame are rewritten where it differs from odom.
+    @property
+    def paths(self) -> list[Path]:
+        """The files."""
+        return [writer.path for writer in self.writers()]
 
-        Until loops exist nothing tells map from odom but gravity, which both are levelled by: all files turn alike.
+    def close(self, final: FinalPoses, T_leveled_odom: NDArray[np.float64]) -> None:
+        """Finish the files: those that were not written in their final frame are written anew.
+
+        Parameters
+        ----------
+        final : FinalPoses
+            Where the run has been after all, for the files of the map frame.
+        T_leveled_odom : (4, 4) float64
+            What puts z of odom up, for the file of the odom frame.
         """
         self.release()
-        paths = [writer.path for writer in self.writers()]
-        if not np.array_equal(T_map_odom, np.eye(4)):
-            for path in paths:
-                with path.open(encoding="utf-8") as file:
-                    header = file.readline().lstrip("# ").strip()
-                rows = read_tum(path)
-                T_map_body = T_map_odom @ rows.T_frame_body
-                write_tum(path, Trajectory(stamps_ns=rows.stamps_ns, T_frame_body=T_map_body), header)
-        return paths
+        for path in self.paths:
+            _move(path, FinalPoses.moved_by(T_leveled_odom) if path.name == _ODOMETRY else final)
+
+
+def _move(path: Path, final: FinalPoses) -> None:
+    """Write a file anew with each pose where it has been after all, block by block; all of it or nothing."""
+    rigid = final.rigid
+    if rigid is not None and np.array_equal(rigid, np.eye(4)):
+        return
+    with path.open(encoding="utf-8") as file:
+        header = file.readline().lstrip("# ").strip()
+        with atomic_path(path) as temporary, TumWriter(temporary, header) as writer:
+            while lines := list(itertools.islice(file, _BLOCK)):
+                rows = [line.split() for line in lines]
+                stamps_ns = np.array([parse_seconds(row[0]) for row in rows], dtype=np.int64)
+                values = np.array([[float(word) for word in row[1:]] for row in rows])
+                T_odom_body = np.tile(np.eye(4), (len(rows), 1, 1))
+                T_odom_body[:, :3, 3] = values[:, :3]
+                T_odom_body[:, :3, :3] = so3.from_quaternion(values[:, 3:])
+                T_map_odom = final.T_map_odom(stamps_ns) if rigid is None else rigid
+                writer.extend(stamps_ns, T_map_odom @ T_odom_body)

@@ -1,67 +1,59 @@
 import threading
 
-import numpy as np
 import pytest
 
-from heliograph.maps import GlobalMap
-from heliograph.output.background import BackgroundMap
+from heliograph.output.background import Background
 
 
-class SlowMap:
-    """Notes who inserts what, and holds until it may go on."""
+class Noted:
+    """Notes which job ran in which thread, and holds until it may go on."""
 
     def __init__(self):
-        self.gate, self.seen, self.threads = threading.Event(), [], set()
+        self.gate, self.done, self.threads = threading.Event(), [], set()
 
-    def insert(self, points_imu, intensity, T_map_imu):
-        self.gate.wait(10.0)
-        self.threads.add(threading.current_thread().name)
-        self.seen.append(float(points_imu[0, 0]))
-        if points_imu[0, 0] == 99.0:
-            raise MemoryError("no room")
+    def job(self, value):
+        def work():
+            self.gate.wait(10.0)
+            self.threads.add(threading.current_thread().name)
+            self.done.append(value)
+            if value == 99:
+                raise MemoryError("no room")
 
-    def points(self):
-        return np.array(self.seen)
-
-    def intensity(self):
-        return None
+        return work
 
 
-def cloud(value):
-    return np.full((1, 3), value, np.float32)
-
-
-def test_background_map_inserts_in_order_in_one_other_thread_and_reads_all():
-    inner = SlowMap()
-    background = BackgroundMap(inner)
-    background.insert(cloud(0), None, np.eye(4))
-    background.insert(cloud(1), None, np.eye(4))
-    assert inner.seen == []  # both calls returned although nothing was inserted
-    inner.gate.set()
+def test_background_does_jobs_in_order_in_one_other_thread():
+    noted, background = Noted(), Background(threaded=True)
+    background.do(noted.job(0))
+    background.do(noted.job(1))
+    assert noted.done == []  # both calls returned although nothing was done
+    noted.gate.set()
     for value in range(2, 40):
-        background.insert(cloud(value), None, np.eye(4))
-    assert background.points().tolist() == list(range(40))
-    assert len(inner.threads) == 1
-    assert threading.current_thread().name not in inner.threads
+        background.do(noted.job(value))
+    background.wait()
+    assert noted.done == list(range(40))
+    assert len(noted.threads) == 1
+    assert threading.current_thread().name not in noted.threads
+    background.close()
 
 
-def test_background_map_raises_a_failure_later():
-    inner = SlowMap()
-    inner.gate.set()
-    background = BackgroundMap(inner)
-    background.insert(cloud(99), None, np.eye(4))
+def test_background_without_a_thread_does_jobs_at_once():
+    noted, background = Noted(), Background(threaded=False)
+    noted.gate.set()
+    background.do(noted.job(1))
+    assert noted.done == [1] and noted.threads == {threading.current_thread().name}
+    background.close()
+
+
+def test_background_raises_the_first_failure_later_and_goes_on():
+    noted, background = Noted(), Background(threaded=True)
+    noted.gate.set()
+    background.do(noted.job(99))
+    background.do(noted.job(99))
     with pytest.raises(MemoryError, match="no room"):
-        background.points()
-    background.insert(cloud(2), None, np.eye(4))
-    assert background.points().tolist() == [99, 2]
-
-
-def test_background_map_gives_the_same_bits(rng):
-    plain, background = GlobalMap(0.1), BackgroundMap(GlobalMap(0.1))
-    for k in range(6):
-        points, pose = rng.normal(size=(500, 3)).astype(np.float32), np.eye(4)
-        pose[0, 3] = 0.1 * k
-        for target in (plain, background):
-            target.insert(points, points[:, 0].copy(), pose)
-    assert plain.points().tobytes() == background.points().tobytes()
-    assert plain.intensity().tobytes() == background.intensity().tobytes()
+        background.wait()
+    background.wait()  # the second one was under way when the first was raised
+    background.do(noted.job(2))
+    background.wait()
+    assert noted.done == [99, 99, 2]
+    background.close()

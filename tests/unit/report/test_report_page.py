@@ -4,8 +4,8 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from fakes import FakeMap, FakeOdometry, FakeRecording, make_result
-from heliograph.config import RunConfig
+from fakes import FakeOdometry, FakeRecording, make_result
+from heliograph.config import OutputConfig, RunConfig
 from heliograph.data import Event
 from heliograph.output.run_folder import RunFolder
 from heliograph.pipeline import run
@@ -30,9 +30,8 @@ def finished(tmp_path_factory):
         tmp_path_factory.mktemp("report") / "out",
         name="a<b>",
         config="threads = 1\n",
-        body="imu",
+        output=OutputConfig(map_voxel=1e-3),
         T_imu_body=np.eye(4),
-        global_map=FakeMap(),
         facts=lambda: {"inferences": [{"name": "unit", "value": "ns", "evidence": "span 1e8", "source": "data"}]},
         finishers=(write_report,),
     )

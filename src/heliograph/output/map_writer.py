@@ -1,0 +1,142 @@
+"""The output map while a run goes on: summed up keyframe by keyframe, put together when the poses are final."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.config import OutputConfig
+from heliograph.data import ScanResult
+from heliograph.errors import OutputError
+from heliograph.lie import se3
+from heliograph.maps import GlobalMap
+from heliograph.output.background import Background
+from heliograph.output.final_poses import FinalPoses
+from heliograph.output.submaps import Submap, SubmapFile, read_submaps
+
+__all__ = ["MapWriter"]
+
+_BLOCK = 8192  # points transformed at once
+
+
+class MapWriter:
+    """Sums the points between two keyframes in cubes of the odom frame, and keeps what is closed on disk.
+
+    In memory is only what was seen since the last keyframe: of the others, poses may change until the run ends, and
+    memory must not grow with it.
+
+    Parameters
+    ----------
+    path : Path
+        File for the submaps.
+    config : OutputConfig
+        Edge of the cubes, and when a keyframe comes.
+    threaded : bool
+        Whether a thread of its own does the work; the result is the same.
+    """
+
+    def __init__(self, path: Path, config: OutputConfig, *, threaded: bool = False) -> None:
+        self._config = config
+        self._file = SubmapFile(path, config.map_voxel)
+        self._open = GlobalMap(config.map_voxel)
+        self._keyframe: tuple[int, NDArray[np.float64]] | None = None
+        self._full = False
+        self._background = Background(threaded=threaded)
+
+    @property
+    def path(self) -> Path:
+        """The file of submaps."""
+        return self._file.path
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the points since the last keyframe take [bytes]."""
+        return self._open.nbytes
+
+    def add(self, result: ScanResult) -> None:
+        """Add a scan's points, from its pose in odom."""
+        self._background.do(lambda: self._add(result))
+
+    def points(self, final: FinalPoses) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Put the map together.
+
+        Parameters
+        ----------
+        final : FinalPoses
+            Where the keyframes lie after all.
+
+        Returns
+        -------
+        points_map : (N, 3) float32
+            The mean of each cube [m].
+        intensity : (N,) float32
+            Its mean intensity.
+        """
+        self._background.wait()
+        whole, rigid = GlobalMap(self._config.map_voxel), final.rigid
+        for submap in self._submaps():
+            moved = final.T_map_odom(np.array([submap.stamp_ns]))[0] if rigid is None else None
+            whole.merge(submap.cells, moved)
+        points = whole.points()
+        if rigid is not None and not np.array_equal(rigid, np.eye(4)):
+            points = _moved(points, rigid)
+        return points, whole.intensity()
+
+    def release(self, *, keep: bool) -> None:
+        """Let go of the file: with ``keep`` it stays, and the points since the last keyframe are added to it."""
+        self._background.close()
+        try:
+            if keep:
+                self._close_submap()
+        finally:
+            self._file.close()
+            if not keep:
+                self.path.unlink(missing_ok=True)
+
+    def _add(self, result: ScanResult) -> None:
+        try:
+            if self._keyframe is None or self._is_keyframe(*self._keyframe, result):
+                self._close_submap()
+                self._keyframe = (result.end_ns, result.T_odom_imu)
+        finally:
+            self._open.insert(result.points_imu, result.intensity, result.T_odom_imu)
+
+    def _is_keyframe(self, stamp_ns: int, T_odom_imu: NDArray[np.float64], result: ScanResult) -> bool:
+        config, turn = self._config, se3.local(T_odom_imu, result.T_odom_imu)[:3]
+        return not self._full and bool(
+            np.linalg.norm(result.T_odom_imu[:3, 3] - T_odom_imu[:3, 3]) >= config.keyframe_distance
+            or np.linalg.norm(turn) >= math.radians(config.keyframe_angle_deg)
+            or result.end_ns - stamp_ns >= 1e9 * config.keyframe_interval
+        )
+
+    def _close_submap(self) -> None:
+        if self._keyframe is None or not len(self._open):
+            return
+        try:
+            self._file.append(self._unfinished(self._keyframe))
+        except OutputError:
+            self._full = True  # what is in memory stays there, and the map is put together with it
+            raise
+        self._open.clear()
+
+    def _submaps(self) -> Iterator[Submap]:
+        """Yield those on disk, then what has come since."""
+        yield from read_submaps(self.path)
+        if self._keyframe is not None:
+            yield self._unfinished(self._keyframe)
+
+    def _unfinished(self, keyframe: tuple[int, NDArray[np.float64]]) -> Submap:
+        return Submap(stamp_ns=keyframe[0], T_odom_imu=keyframe[1], cells=self._open.cells())
+
+
+def _moved(points: NDArray[np.float32], T: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Transform points (N, 3), block by block: all at once, BLAS would start threads that then spin beside us."""
+    moved = np.empty_like(points)
+    for first in range(0, len(points), _BLOCK):
+        block = points[first : first + _BLOCK].astype(np.float64)
+        moved[first : first + _BLOCK] = block @ T[:3, :3].T + T[:3, 3]
+    return moved

@@ -1,0 +1,187 @@
+"""The points of a run on disk, keyframe by keyframe, for as long as their poses may still change.
+
+The file begins with a magic word and the cubes' edge. Each submap that follows is a header with its length and a
+checksum, then four columns: cubes, sums of offsets, sums of intensity and counts. Numbers are little-endian. Cubes are
+counted from the submap's lowest corner and, like counts, take two bytes where they fit; an intensity that is zero all
+over takes none. That makes 20 to 24 bytes a cube.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.atomic import output_error, output_errors
+from heliograph.data.arrays import frozen
+from heliograph.errors import FormatError
+from heliograph.maps import MapCells
+
+__all__ = ["Submap", "SubmapFile", "read_submaps", "read_voxel"]
+
+_MAGIC = b"HGSUBM01"
+_FILE = struct.Struct("<8sd")  # magic, edge of the cubes [m]
+_HEADER = struct.Struct("<IIq16d3iBBBx")  # checksum of all behind it, cells, stamp, pose, corner, widths, intensity?
+_CHECKED = struct.calcsize("<I")  # where what the checksum covers begins
+_NARROW = 1 << 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Submap:
+    """What was seen from one keyframe until the next.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Time of the keyframe [ns].
+    T_odom_imu : (4, 4) float64
+        Its pose as the odometry gave it [m].
+    cells : MapCells
+        The points, summed in cubes of the odom frame.
+    """
+
+    stamp_ns: int
+    T_odom_imu: NDArray[np.float64]
+    cells: MapCells
+
+    def __post_init__(self) -> None:
+        value = frozen("T_odom_imu", self.T_odom_imu, np.float64, (4, 4), finite=True)
+        object.__setattr__(self, "T_odom_imu", value)
+
+
+class SubmapFile:
+    """Append-only file of submaps; interrupted at any time, all but the last are whole and are read.
+
+    Parameters
+    ----------
+    path : Path
+        File to create; an existing one is replaced.
+    voxel : float
+        Edge of the cubes [m].
+
+    Raises
+    ------
+    OutputError
+        The file cannot be created or written; what a failed write left of a submap is cut off.
+    """
+
+    def __init__(self, path: Path, voxel: float) -> None:
+        self.path, self.count, self.nbytes = path, 0, 0
+        with output_errors(path):
+            self._file = io.FileIO(path, "w")
+        self._write([_FILE.pack(_MAGIC, voxel)])
+
+    def append(self, submap: Submap) -> None:
+        """Write a submap and hand it to the operating system."""
+        self._write(_packed(submap))
+        self.count += 1
+
+    def close(self) -> None:
+        """Release the file; a second call does nothing."""
+        with output_errors(self.path):
+            self._file.close()
+
+    def _write(self, parts: list[bytes]) -> None:
+        try:
+            for part in parts:
+                view = memoryview(part).cast("B")
+                while view:
+                    view = view[self._file.write(view) :]
+        except BaseException as error:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self.nbytes)
+                self._file.seek(self.nbytes)
+            if isinstance(error, OSError):
+                raise output_error(self.path, error) from error
+            raise
+        self.nbytes += sum(len(part) for part in parts)
+
+
+def read_voxel(path: Path | str) -> float:
+    """Return the edge of the cubes in a file of submaps [m].
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read or is none of submaps.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            start = file.read(_FILE.size)
+    except OSError as error:
+        raise FormatError(path, f"cannot be read ({error.strerror}); check the path") from error
+    if len(start) < _FILE.size or not start.startswith(_MAGIC):
+        raise FormatError(path, "no file of submaps; name the submaps.bin of a run")
+    return float(_FILE.unpack(start)[1])
+
+
+def read_submaps(path: Path | str) -> Iterator[Submap]:
+    """Yield the submaps of a file one by one, up to the first that is not whole.
+
+    Raises
+    ------
+    FormatError
+        The file cannot be read or is none of submaps.
+    """
+    read_voxel(path)
+    with Path(path).open("rb") as file:
+        file.seek(_FILE.size)
+        while (submap := _read(file)) is not None:
+            yield submap
+
+
+def _packed(submap: Submap) -> list[bytes]:
+    cells = submap.cells
+    corner = cells.cubes.min(axis=0) if len(cells) else np.zeros(3, np.int32)
+    cubes = cells.cubes - corner
+    narrow_cubes = bool(cubes.max(initial=0) < _NARROW)
+    narrow_counts = bool(cells.counts.max(initial=0) < _NARROW)
+    has_intensity = bool(cells.intensity.any())
+    body = [
+        cubes.astype("<u2" if narrow_cubes else "<u4").tobytes(),
+        cells.sums.astype("<f4").tobytes(),
+        cells.intensity.astype("<f4").tobytes() if has_intensity else b"",
+        cells.counts.astype("<u2" if narrow_counts else "<u4").tobytes(),
+    ]
+    fields = (len(cells), submap.stamp_ns, *submap.T_odom_imu.ravel(), *corner.tolist(), narrow_cubes, narrow_counts)
+    header = _HEADER.pack(0, *fields, has_intensity)
+    checksum = zlib.crc32(header[_CHECKED:])
+    for part in body:
+        checksum = zlib.crc32(part, checksum)
+    return [checksum.to_bytes(_CHECKED, "little") + header[_CHECKED:], *body]
+
+
+def _read(file: io.BufferedReader) -> Submap | None:
+    """Return the submap at the file's position, None where there is no whole one."""
+    header = file.read(_HEADER.size)
+    if len(header) < _HEADER.size:
+        return None
+    checksum, count, stamp_ns, *numbers, narrow_cubes, narrow_counts, has_intensity = _HEADER.unpack(header)
+    columns = (
+        ("<u2" if narrow_cubes else "<u4", 3 * count),
+        ("<f4", 3 * count),
+        ("<f4", count if has_intensity else 0),
+        ("<u2" if narrow_counts else "<u4", count),
+    )
+    body = file.read(sum(np.dtype(kind).itemsize * length for kind, length in columns))
+    if zlib.crc32(body, zlib.crc32(header[_CHECKED:])) != checksum:
+        return None
+    arrays, begin = [], 0
+    for kind, length in columns:
+        arrays.append(np.frombuffer(body, kind, length, begin))
+        begin += arrays[-1].nbytes
+    cubes, sums, intensity, counts = arrays
+    cells = MapCells(
+        cubes=(cubes.reshape(-1, 3).astype(np.int64) + numbers[16:]).astype(np.int32),
+        sums=sums.reshape(-1, 3).astype(np.float32),
+        intensity=intensity.astype(np.float32) if has_intensity else np.zeros(count, np.float32),
+        counts=counts.astype(np.float32),
+    )
+    return Submap(stamp_ns=stamp_ns, T_odom_imu=np.array(numbers[:16]).reshape(4, 4), cells=cells)
