@@ -16,14 +16,14 @@ class ScanToMap(Odometry):
 
     def __init__(self, config: RunConfig, rig: Rig) -> None:
         self.events, self.count, self.last = [], 0, None
-        self.map, self.T_imu_lidar, self.step = VoxelMap(config.map), rig.T_imu_lidar, np.eye(4)
+        self.map, self.T_imu_lidar, self.step = VoxelMap(config.map), rig.T_imu_lidar, np.zeros(6)
         self.match = MatchSettings(gate=0.5, kernel=0.2, sigma=config.filter.sigma)
 
     def add(self, message: Message) -> list[ScanResult]:
         if not isinstance(message, Scan):
             return []  # an IMU could tell which way is up, and how the sensor turns
         before = np.eye(4) if self.last is None else self.last.T_odom_imu
-        T = before @ self.step
+        T = se3.retract(before, self.step)
         points_imu = np.float32(se3.act(self.T_imu_lidar, message.points[voxel_downsample(message.points, 0.5)]))
         for _ in range(10 if self.last else 0):
             normal = linearize(self.map, points_imu, T, self.T_imu_lidar, self.match)
@@ -31,7 +31,7 @@ class ScanToMap(Odometry):
             T = se3.retract(T, [*d[:3], *T[:3, :3].T @ d[3:]])
         self.last = pose_result(message, self.count, T, before=self.last, T_imu_lidar=self.T_imu_lidar)
         self.map.insert(self.last.points_imu, T)
-        self.step, self.count = se3.inverse(before) @ T, self.count + 1
+        self.step, self.count = se3.local(before, T), self.count + 1
         return [self.last]
 
 

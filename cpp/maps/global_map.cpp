@@ -59,6 +59,7 @@ void GlobalMap::merge(const Cells& from, const double* T) {
   const size_t count = from.counts.size();
   std::array<uint64_t, kBatch> keys;
   std::array<std::array<float, 3>, kBatch> sums;
+  std::array<uint32_t, kBatch> ids;
   for (size_t begin = 0; begin < count; begin += kBatch) {
     const size_t batch = std::min(kBatch, count - begin);
     for (size_t k = 0; k < batch; ++k) {
@@ -73,7 +74,11 @@ void GlobalMap::merge(const Cells& from, const double* T) {
     for (size_t k = 0; k < batch; ++k) {
       const auto [id, is_new] = index_.insert(keys[k], static_cast<uint32_t>(cells_.size()));
       if (is_new) cells_.push_back({keys[k], {0, 0, 0}, 0.0F, 0.0F, 0.0F});
-      Cell& cell = cells_[id];
+      __builtin_prefetch(cells_.data() + id, 1);
+      ids[k] = id;
+    }
+    for (size_t k = 0; k < batch; ++k) {
+      Cell& cell = cells_[ids[k]];
       for (size_t i = 0; i < 3; ++i) cell.sum[i] += sums[k][i];
       cell.intensity += from.intensity[begin + k];
       cell.count += from.counts[begin + k];

@@ -475,7 +475,7 @@ class OutputConfig:
     map_voxel: float = 0.1
     map_format: str = "ply"
     body: str = "imu"
-    keyframe_distance: float = 1.0
+    keyframe_distance: float = 2.0
     keyframe_angle_deg: float = 30.0
     keyframe_interval: float = 5.0
     keep_submaps: bool = False

@@ -1,14 +1,19 @@
 """The examples run, and show what they promise."""
 
+import json
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from heliograph.testing import assert_local_map
+from heliograph.config import RunConfig
+from heliograph.lie import se3
+from heliograph.sim import SCENARIOS, simulate
+from heliograph.testing import assert_local_map, assert_odometry, assert_sink, assert_source
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -95,10 +100,48 @@ def test_tunnel_degeneracy_points_along_the_tunnel(tmp_path):
     assert int(re.search(r"(\d+) of", text)[1]) > 50
 
 
-def test_own_local_map_obeys_the_law(rng):
-    sys.path.insert(0, str(EXAMPLES))
-    try:
-        from own_local_map import CubeMap
-    finally:
-        sys.path.pop(0)
+def test_own_local_map_obeys_the_law(rng, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    from own_local_map import CubeMap
+
     assert_local_map(CubeMap, rng)
+
+
+@pytest.mark.parametrize("name", ["own_odometry", "own_source", "own_sink"])
+def test_examples_of_seams_are_a_page(name):
+    assert len((EXAMPLES / f"{name}.py").read_text().splitlines()) <= 40
+
+
+def test_own_odometry_obeys_the_law_and_follows_the_walk(monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    from own_odometry import make
+
+    scenario = SCENARIOS["room"].thinned(beams=16, columns=128, duration=3.0)
+    drive = simulate(scenario, seed=1)
+    assert_odometry(lambda: make(RunConfig(), drive.rig), list(drive))
+    odometry = make(RunConfig(), drive.rig)
+    results = [result for message in drive for result in odometry.add(message)]
+    truth = drive.truth.pose(np.array([result.end_ns for result in results]))
+    moved = se3.inverse(truth[0]) @ truth[-1]
+    found = se3.inverse(results[0].T_odom_imu) @ results[-1].T_odom_imu
+    assert np.linalg.norm(moved[:3, 3]) > 0.5
+    assert np.linalg.norm(se3.local(found, moved)[3:]) < 0.1
+
+
+def test_own_source_obeys_the_law_and_runs(monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    from own_source import SimulatedDrive
+
+    assert_source(lambda: SimulatedDrive(1.0))
+    scans = int(re.search(r"(\d+) scans", _run("own_source.py", 3))[1])
+    assert scans == 29
+
+
+def test_own_sink_obeys_the_law_and_writes_geojson(monkeypatch, tmp_path, short_recording):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    from own_sink import GeoJsonPath
+
+    assert_sink(lambda: GeoJsonPath(tmp_path / "path.geojson"))
+    assert _run("own_sink.py", short_recording, tmp_path / "drive.geojson").startswith("ok")
+    feature = json.loads((tmp_path / "drive.geojson").read_text())
+    assert feature["geometry"]["type"] == "LineString" and len(feature["geometry"]["coordinates"]) >= 2

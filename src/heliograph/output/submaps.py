@@ -1,7 +1,7 @@
 """The points of a run on disk, keyframe by keyframe, for as long as their poses may still change.
 
 The file begins with a magic word and the cubes' edge. Each submap that follows is a header with its length and a
-checksum, then four columns: cubes, sums of offsets, sums of intensity and counts. Numbers are little-endian. Cubes are
+checksum, then four columns: sums of offsets, sums of intensity, counts and cubes. Numbers are little-endian. Cubes are
 counted from the submap's lowest corner and, like counts, take two bytes where they fit; an intensity that is zero all
 over takes none. That makes 20 to 24 bytes a cube.
 """
@@ -145,10 +145,10 @@ def _packed(submap: Submap) -> list[bytes]:
     narrow_counts = bool(cells.counts.max(initial=0) < _NARROW)
     has_intensity = bool(cells.intensity.any())
     body = [
-        cubes.astype("<u2" if narrow_cubes else "<u4").tobytes(),
-        cells.sums.astype("<f4").tobytes(),
-        cells.intensity.astype("<f4").tobytes() if has_intensity else b"",
+        cells.sums.astype("<f4", copy=False).tobytes(),
+        cells.intensity.astype("<f4", copy=False).tobytes() if has_intensity else b"",
         cells.counts.astype("<u2" if narrow_counts else "<u4").tobytes(),
+        cubes.astype("<u2" if narrow_cubes else "<u4").tobytes(),
     ]
     fields = (len(cells), submap.stamp_ns, *submap.T_odom_imu.ravel(), *corner.tolist(), narrow_cubes, narrow_counts)
     header = _HEADER.pack(0, *fields, has_intensity)
@@ -165,10 +165,10 @@ def _read(file: io.BufferedReader) -> Submap | None:
         return None
     checksum, count, stamp_ns, *numbers, narrow_cubes, narrow_counts, has_intensity = _HEADER.unpack(header)
     columns = (
-        ("<u2" if narrow_cubes else "<u4", 3 * count),
         ("<f4", 3 * count),
         ("<f4", count if has_intensity else 0),
         ("<u2" if narrow_counts else "<u4", count),
+        ("<u2" if narrow_cubes else "<u4", 3 * count),
     )
     body = file.read(sum(np.dtype(kind).itemsize * length for kind, length in columns))
     if zlib.crc32(body, zlib.crc32(header[_CHECKED:])) != checksum:
@@ -177,11 +177,11 @@ def _read(file: io.BufferedReader) -> Submap | None:
     for kind, length in columns:
         arrays.append(np.frombuffer(body, kind, length, begin))
         begin += arrays[-1].nbytes
-    cubes, sums, intensity, counts = arrays
+    sums, intensity, counts, cubes = arrays
     cells = MapCells(
-        cubes=(cubes.reshape(-1, 3).astype(np.int64) + numbers[16:]).astype(np.int32),
-        sums=sums.reshape(-1, 3).astype(np.float32),
-        intensity=intensity.astype(np.float32) if has_intensity else np.zeros(count, np.float32),
+        cubes=cubes.reshape(-1, 3).astype(np.int32) + np.array(numbers[16:], dtype=np.int32),
+        sums=sums.reshape(-1, 3).astype(np.float32, copy=False),
+        intensity=intensity.astype(np.float32, copy=False) if has_intensity else np.zeros(count, np.float32),
         counts=counts.astype(np.float32),
     )
     return Submap(stamp_ns=stamp_ns, T_odom_imu=np.array(numbers[:16]).reshape(4, 4), cells=cells)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
 from heliograph.data import ImuBatch, Message, Scan, ScanResult, StartAccount
 from heliograph.odometry import Odometry
+from heliograph.testing.bits import bits
 
 __all__ = ["assert_odometry"]
 
@@ -105,19 +105,8 @@ def _assert_same(results: Sequence[ScanResult], expected: Sequence[ScanResult], 
     for a, b in zip(results, expected, strict=True):
         for field in dataclasses.fields(ScanResult):
             if field.name != "timings":
-                same = _plain(getattr(a, field.name)) == _plain(getattr(b, field.name))
+                same = bits(getattr(a, field.name)) == bits(getattr(b, field.name))
                 assert same, f"{case}: {field.name} of result {b.index} is not the same to the bit"
-
-
-def _plain(value: Any) -> object:  # noqa: ANN401 - any field
-    """Return a value of a record as something that compares bit by bit."""
-    if isinstance(value, np.ndarray):
-        return value.shape, value.tobytes()
-    if dataclasses.is_dataclass(value):
-        return [_plain(getattr(value, field.name)) for field in dataclasses.fields(value)]
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
-    return repr(value) if isinstance(value, float) else value
 
 
 def _one_by_one(messages: Sequence[Message]) -> list[Message]:

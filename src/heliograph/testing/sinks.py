@@ -10,6 +10,7 @@ from heliograph.data import ImuBatch, Scan, ScanResult
 from heliograph.lie import se3
 from heliograph.odometry import pose_result
 from heliograph.output import FinalPoses, RunSummary, Sink
+from heliograph.testing.bits import bits
 
 __all__ = ["assert_sink"]
 
@@ -44,7 +45,7 @@ def assert_sink(make_sink: Callable[[], Sink]) -> None:
 
 
 def _assert_stands(sink: Sink, results: Sequence[ScanResult], summary: RunSummary, case: str) -> None:
-    before = [_bits(result) for result in results]
+    before = [bits(result) for result in results]
     verb = "observe"
     try:
         for index in range(_SCANS):
@@ -58,8 +59,8 @@ def _assert_stands(sink: Sink, results: Sequence[ScanResult], summary: RunSummar
         sink.close(summary)
     except Exception as error:
         raise AssertionError(f"{case}: {verb} raised {type(error).__name__}: {error}") from error
-    for result, bits in zip(results, before, strict=True):
-        assert _bits(result) == bits, f"{case}: the sink changed result {result.index}"
+    for result, as_given in zip(results, before, strict=True):
+        assert bits(result) == as_given, f"{case}: the sink changed result {result.index}"
 
 
 def _results() -> list[ScanResult]:
@@ -94,8 +95,3 @@ def _batch(index: int) -> ImuBatch:
     stamps = np.arange(_START_NS + index * _SCAN_NS, _START_NS + (index + 1) * _SCAN_NS, _IMU_NS)
     force = np.tile([0.0, 0.0, 9.81], (len(stamps), 1))
     return ImuBatch(stamps_ns=stamps, gyro=np.zeros_like(force), accel=force, received_ns=int(stamps[-1]))
-
-
-def _bits(result: ScanResult) -> list[object]:
-    values = [getattr(result, name) for name in ScanResult.__slots__]
-    return [value.tobytes() if isinstance(value, np.ndarray) else value for value in values if value is not result.path]

@@ -7,6 +7,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 import numpy as np
 
 from heliograph.data import GnssFix, ImuBatch, Message, Rig, Scan, Source
+from heliograph.testing.bits import bits
 
 __all__ = ["assert_source"]
 
@@ -97,12 +98,7 @@ def _span(message: Message, case: str) -> tuple[int, int]:
 def _assert_same(found: Sequence[Message], expected: Sequence[Message], case: str) -> None:
     assert len(found) == len(expected), f"{case} has {len(found)} messages, not {len(expected)}"
     for number, (a, b) in enumerate(zip(found, expected, strict=True)):
-        assert _bits(a) == _bits(b), f"{case}: message {number} differs"
-
-
-def _bits(message: Message) -> list[object]:
-    values = [getattr(message, name) for name in type(message).__slots__]
-    return [value.tobytes() if isinstance(value, np.ndarray) else value for value in values]
+        assert bits(a) == bits(b), f"{case}: message {number} differs"
 
 
 def _drop(stream: Iterator[Message]) -> None:

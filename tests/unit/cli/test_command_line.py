@@ -153,6 +153,63 @@ def test_run_on_a_full_disk_leaves_valid_files_and_one_line(call, recording, tmp
     assert json.loads((tmp_path / "out" / "run.json").read_text())["failure"]
 
 
+OWN = """
+import numpy as np
+from heliograph.data import Scan
+from heliograph.io.bags.rosbag import open_rosbag
+from heliograph.odometry import Odometry, pose_result
+
+class Standing(Odometry):
+    def __init__(self, *_):
+        self.events, self.last, self.count = [], None, 0
+
+    def add(self, message):
+        if not isinstance(message, Scan):
+            return []
+        self.last = pose_result(message, self.count, np.eye(4), before=self.last)
+        self.count += 1
+        return [self.last]
+
+def reader(paths):
+    return open_rosbag(paths)
+"""
+
+
+def test_run_takes_odometry_and_reader_from_a_module_in_the_current_folder(call, recording, tmp_path, no_report):
+    (tmp_path / "own_parts.py").write_text(OWN)
+    names = ("--odometry", "own_parts:Standing", "--reader", "own_parts:reader")
+    code, out, err = call("run", recording, "-o", "out", "--json", *names)
+    assert code == 0, err
+    assert json.loads(out)["distance_m"] == 0.0 and json.loads(out)["scans"] > 40
+    config = load_config(tmp_path / "out" / "config.toml")
+    assert (config.odometry, config.input.reader) == names[1::2]
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "words"),
+    [
+        ("--odometry", "fitler", "did you mean 'filter'"),
+        ("--odometry", "no_module:f", "No module named 'no_module'"),
+        ("--reader", "rosbga", "did you mean 'rosbag'"),
+        ("--reader", "kitti", "the reader 'kitti' knows"),
+    ],
+)
+def test_run_wrong_part_is_one_line_and_no_folder(call, recording, option, name, words):
+    code, out, err = call("run", recording, "-o", "out", option, name)
+    assert code == 2 and out == "" and len(err.splitlines()) == 1 and words in err
+    assert not Path("out").exists()
+
+
+def test_help_lists_what_is_registered(call, monkeypatch):
+    from heliograph.odometry import ODOMETRIES
+
+    monkeypatch.setitem(ODOMETRIES, "mine", "own_parts:Standing")
+    code, out, _ = call("run", "--help")
+    assert code == 0 and "filter, mine" in out and "rosbag" in out
+    code, out, _ = call("info", "--help")
+    assert code == 0 and "rosbag" in out and "filter, mine" not in out
+
+
 def test_info_shows_the_evidence(call, recording):
     code, out, _ = call("info", recording)
     assert code == 0

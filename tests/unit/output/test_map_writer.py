@@ -1,5 +1,7 @@
 """The output map: the same as adding everything up at once, until keyframes move; bounded memory, whole files."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from heliograph.output import FinalPoses, read_submaps
 from heliograph.output.map_writer import MapWriter
 from states import random_pose
 
+CONFIG = OutputConfig(map_voxel=0.2, keyframe_distance=1.0)
 STILL = FinalPoses.moved_by(np.eye(4))
 
 
@@ -26,7 +29,7 @@ def drive(count, *, step=0.3, points=400, seed=0):
 
 
 def filled(path, results, *, threaded=False, **config):
-    writer = MapWriter(path / "submaps.bin", OutputConfig(map_voxel=0.2, **config), threaded=threaded)
+    writer = MapWriter(path / "submaps.bin", CONFIG if not config else replace(CONFIG, **config), threaded=threaded)
     for result in results:
         writer.add(result)
     return writer
@@ -99,7 +102,7 @@ def test_map_writer_weighs_what_comes_to_lie_in_one_cube(tmp_path):
 
 
 def test_map_writer_memory_does_not_grow_with_the_submaps_on_disk(tmp_path):
-    writer = MapWriter(tmp_path / "submaps.bin", OutputConfig(map_voxel=0.2))
+    writer = MapWriter(tmp_path / "submaps.bin", CONFIG)
     sizes = []
     for k, result in enumerate(drive(400, step=1.0)):
         writer.add(result)
@@ -134,7 +137,7 @@ def test_map_writer_cuts_by_angle(tmp_path):
 
 @pytest.mark.parametrize("threaded", [False, True])
 def test_map_writer_on_a_full_disk_fails_once_and_keeps_the_points(tmp_path, full_disk, threaded):
-    writer, failures = MapWriter(tmp_path / "submaps.bin", OutputConfig(map_voxel=0.2), threaded=threaded), []
+    writer, failures = MapWriter(tmp_path / "submaps.bin", CONFIG, threaded=threaded), []
     with full_disk(30_000):
         for result in drive(20):
             try:

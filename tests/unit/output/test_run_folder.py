@@ -24,7 +24,8 @@ def make_folder(path, *, T_imu_body=None, output=None, **changes):
     values = {
         "name": "test",
         "config": "threads = 1\n",
-        "output": OutputConfig(**({"map_voxel": 1e-3} | (output or {}))),  # so small that no two points share a cube
+        # Cubes so small that no two points share one.
+        "output": OutputConfig(**({"map_voxel": 1e-3, "keyframe_distance": 1.0} | (output or {}))),
         "T_imu_body": np.eye(4) if T_imu_body is None else T_imu_body,
         "facts": lambda: {"versions": {"heliograph": "9.9"}},
     }

@@ -59,6 +59,7 @@ class FilterOdometry:
         self._sequencer = Sequencer(self._sensors, patience_ns=round(1e9 * config.imu.patience))
         self._waiting: list[Packet] = []
         self._first: FirstLook | None = None
+        self._ended = False
         self._around_ns = int(1e9 * HALF_WINDOW) if config.filter.estimate_time_offset else 0
 
     def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
@@ -68,7 +69,9 @@ class FilterOdometry:
     def finish(self) -> list[ScanResult]:
         """Return the results still waiting."""
         results = self._advance(self._sequencer.finish(), ended=True)
-        self.events += [*self._doubts(), *self._calibrated()]
+        if not self._ended:
+            self._ended = True
+            self.events += [*self._doubts(), *self._calibrated()]
         return results
 
     def leveling(self) -> NDArray[np.float64]:
