@@ -56,6 +56,11 @@ class ImuBuffer:
         last = int(np.searchsorted(self._held.stamps_ns, end_ns, side="left")) + 1
         return self._held[first:last]
 
+    def until(self, end_ns: int) -> ImuBatch:
+        """Return the samples held up to the first one at or after ``end_ns``."""
+        self._merge()
+        return self._slice(0, int(np.searchsorted(self._stamps, end_ns, side="left")) + 1)
+
     def everything(self) -> ImuBatch:
         """Return all samples held."""
         self._merge()

@@ -111,7 +111,17 @@ class FilterOdometry:
         return [Event(code="online-calibration", message=text, severity="info")]
 
     def _advance(self, packets: list[Packet], *, ended: bool) -> list[ScanResult]:
-        self._waiting += packets
+        results = []
+        # One by one: how many become ready at once depends on how a driver cuts the IMU's samples, the start must not.
+        for packet in packets:
+            self._waiting.append(packet)
+            results += self._release(ended=False)
+        if ended:
+            results += self._release(ended=True)
+        return results
+
+    def _release(self, *, ended: bool) -> list[ScanResult]:
+        """Return the results of the packets that wait, once there is a start."""
         if self.core is None and not self._start(ended=ended):
             return []
         results = [self._step(packet) for packet in self._waiting]
@@ -128,7 +138,7 @@ class FilterOdometry:
         gathered = (self._waiting[-1].end_ns - begin_ns) * 1e-9
         if not ended and gathered < self._config.imu.start_window:
             return False
-        imu = self._sequencer.imu.everything()
+        imu = self._sequencer.imu.until(self._waiting[-1].end_ns)
         if self._first is None:
             self._first = look(self._waiting, imu, self._rig, self._config, threads=self._threads)
         # What begins in motion is known better from more of it.
