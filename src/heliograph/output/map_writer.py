@@ -44,13 +44,18 @@ class MapWriter:
         self._file = SubmapFile(path, config.map_voxel)
         self._open = GlobalMap(config.map_voxel)
         self._keyframe: tuple[int, NDArray[np.float64]] | None = None
-        self._full = False
+        self._full = self._released = False
         self._background = Background(threaded=threaded)
 
     @property
     def path(self) -> Path:
         """The file of submaps."""
         return self._file.path
+
+    @property
+    def submaps(self) -> int:
+        """How many submaps lie on disk."""
+        return self._file.count
 
     @property
     def nbytes(self) -> int:
@@ -86,8 +91,17 @@ class MapWriter:
             points = _moved(points, rigid)
         return points, whole.intensity()
 
-    def release(self, *, keep: bool) -> None:
-        """Let go of the file: with ``keep`` it stays, and the points since the last keyframe are added to it."""
+    def release(self, *, keep: bool) -> bool:
+        """Let go of the file: with ``keep`` it stays, and the points since the last keyframe are added to it.
+
+        Returns
+        -------
+        bool
+            Whether the file stays. A second call changes nothing and returns False.
+        """
+        if self._released:
+            return False
+        self._released = True
         self._background.close()
         try:
             if keep:
@@ -96,6 +110,7 @@ class MapWriter:
             self._file.close()
             if not keep:
                 self.path.unlink(missing_ok=True)
+        return keep
 
     def _add(self, result: ScanResult) -> None:
         try:

@@ -32,6 +32,7 @@ _FLUSH_EVERY = 50  # scans; a crash costs at most these
 _OWN_FORMATS = ("ply", "pcd")  # written without any other package
 _MAPS = ("map.ply", "map.pcd", "map.laz")
 SUBMAPS = "submaps.bin"
+_NO_POINTS = np.zeros((0, 3), dtype=np.float32)
 _OWN = (*FILES, *_MAPS, SUBMAPS, "map.png", "scans.csv", "report.html", "config.toml", "run.json")
 
 
@@ -140,7 +141,9 @@ class RunFolder(Sink):
             return
         failures: list[Exception] = []
         began = time.perf_counter()
-        points, intensity = self._map_points(summary, failures)
+        points, intensity = _NO_POINTS, None
+        with self._step("map", failures):
+            points, intensity = self._map_points(summary)
         table = self._log.table(summary.final)
         self.files += [*self._trajectories.paths, self._log.path]
         with self._step("trajectory", failures):
@@ -148,9 +151,7 @@ class RunFolder(Sink):
         with self._step("scans.csv", failures):
             self._log.close(table)
         with self._step("map", failures):
-            if len(points):
-                write_cloud(self._map_path, points, intensity)
-                self.files.append(self._map_path)
+            self._write_map(points, intensity)
         self.facts = dict(self._facts())
         if self._calibration is not None:
             self.facts["online_calibration"] = self._calibration.summary()
@@ -185,22 +186,29 @@ class RunFolder(Sink):
     def _map_path(self) -> Path:
         return self.path / f"map.{self._output.map_format}"
 
-    def _map_points(
-        self, summary: RunSummary, failures: list[Exception]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """Return the map, and remove the submaps that it was made of unless they are to stay."""
-        writer, self._map = self._map, None
-        if writer is None:
-            return np.zeros((0, 3), dtype=np.float32), None
-        points, intensity = np.zeros((0, 3), dtype=np.float32), None
-        with self._step("map", failures):
-            points, intensity = writer.points(summary.final)
-        with self._step("map", failures):
-            # From here on the map is in memory: what it was made of gives room on a disk that may be full.
-            keep = bool(failures) or (self._output.keep_submaps and not summary.failure)
-            writer.release(keep=keep)
-            self.files += [writer.path] if keep else []
+    def _map_points(self, summary: RunSummary) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Return the map; after a failure remove what it was made of at once, for the disk may be full."""
+        if self._map is None:
+            return _NO_POINTS, None
+        points, intensity = self._map.points(summary.final)
+        if summary.failure:
+            self._map.release(keep=False)
         return points, intensity
+
+    def _write_map(self, points: NDArray[np.float32], intensity: NDArray[np.float32] | None) -> None:
+        """Write the map, then remove what it was made of; where there is no room, the other way round."""
+        if self._map is None:
+            return
+        try:
+            if len(points):
+                write_cloud(self._map_path, points, intensity)
+        except OutputError:
+            self._map.release(keep=False)
+            write_cloud(self._map_path, points, intensity)
+        self.files += [self._map_path] if len(points) else []
+        not_merged = not len(points) and self._map.submaps > 0
+        if self._map.release(keep=self._output.keep_submaps or not_merged):
+            self.files.append(self._map.path)
 
     def _discard(self) -> None:
         """Leave nothing of a run that has no result."""

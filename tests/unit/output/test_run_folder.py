@@ -13,7 +13,7 @@ from fakes import IMU_STEP_NS, PERIOD_NS, START_NS, FakeOdometry, FakeRecording,
 from heliograph.config import OutputConfig, RunConfig
 from heliograph.data import ImuBatch
 from heliograph.errors import MissingDependencyError, OutputError
-from heliograph.io.files.clouds import read_cloud
+from heliograph.io.files.clouds import read_cloud, write_cloud
 from heliograph.io.files.tum import read_tum
 from heliograph.output import FinalPoses, RunSummary, read_submaps
 from heliograph.output.run_folder import RunFolder
@@ -226,6 +226,29 @@ def test_run_folder_keeps_the_submaps_when_asked(tmp_path):
     facts = json.loads((tmp_path / "out" / "run.json").read_text())
     assert "submaps.bin" in facts["files"]
     assert sum(s.cells.counts.sum() for s in read_submaps(tmp_path / "out" / "submaps.bin")) == 500
+
+
+def test_run_folder_makes_room_for_the_map_with_what_it_was_made_of(tmp_path, monkeypatch):
+    def only_beside_nothing(path, *arguments):
+        if (path.parent / "submaps.bin").exists():
+            raise OutputError(f"cannot write {path}: the disk is full")
+        write_cloud(path, *arguments)
+
+    monkeypatch.setattr("heliograph.output.run_folder.write_cloud", only_beside_nothing)
+    run_into(make_folder(tmp_path / "out"))
+    assert len(read_cloud(tmp_path / "out" / "map.ply")) == 500
+
+
+def test_run_folder_map_that_cannot_be_put_together_leaves_the_submaps(tmp_path, monkeypatch):
+    def no_room(writer, final):
+        raise MemoryError("no room")
+
+    monkeypatch.setattr("heliograph.output.map_writer.MapWriter.points", no_room)
+    with pytest.raises(MemoryError):
+        run_into(make_folder(tmp_path / "out"), scans=30)
+    assert sum(s.cells.counts.sum() for s in read_submaps(tmp_path / "out" / "submaps.bin")) == 1500
+    facts = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert "no room" in facts["failure"] and "submaps.bin" in facts["files"] and "map.ply" not in facts["files"]
 
 
 @pytest.mark.parametrize("threaded", [False, True])
