@@ -116,7 +116,7 @@ def test_own_odometry_obeys_the_law_and_follows_the_walk(monkeypatch):
     monkeypatch.syspath_prepend(EXAMPLES)
     from own_odometry import make
 
-    scenario = SCENARIOS["room"].thinned(beams=16, columns=128, duration=3.0)
+    scenario = SCENARIOS["room"].thinned(beams=16, columns=128, duration=4.0).varied(walk={"rest": 1.0})
     drive = simulate(scenario, seed=1)
     assert_odometry(lambda: make(RunConfig(), drive.rig), list(drive))
     odometry = make(RunConfig(), drive.rig)
