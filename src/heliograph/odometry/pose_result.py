@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import ImuConfig
-from heliograph.data import Scan, ScanResult, Trajectory
+from heliograph.data import Scan, ScanResult, ScanStatus, Trajectory
+from heliograph.data.error_layout import NAV_DIM, POSE
 from heliograph.lie import interpolate_se3
 
 __all__ = ["pose_result"]
@@ -20,7 +21,7 @@ def pose_result(
     before: ScanResult | None = None,
     T_imu_lidar: NDArray[np.float64] | None = None,
     covariance: NDArray[np.float64] | None = None,
-    status: str = "tracked",
+    status: ScanStatus = "tracked",
 ) -> ScanResult:
     """Return a result with a scan's pose; what else a result tells is left at zero.
 
@@ -38,7 +39,7 @@ def pose_result(
         Mounting; by default the frames are one.
     covariance : (6, 6) float64, optional
         Of rotation (body) and position (odom); zero by default.
-    status : str
+    status : ScanStatus
         As in `ScanResult`.
     """
     T_imu_lidar = np.eye(4) if T_imu_lidar is None else T_imu_lidar
@@ -49,8 +50,8 @@ def pose_result(
         velocity = (T_odom_imu[:3, 3] - before.T_odom_imu[:3, 3]) / (1e-9 * (scan.end_ns - before.end_ns))
     path = Trajectory(stamps_ns=np.array(stamps, dtype=np.int64), T_frame_body=np.stack(poses))
     header_ns = np.clip(np.int64(scan.header_stamp_ns), path.stamps_ns[0], path.stamps_ns[-1])
-    whole = np.zeros((18, 18))
-    whole[:6, :6] = covariance
+    whole = np.zeros((NAV_DIM, NAV_DIM))
+    whole[POSE, POSE] = covariance
     valid = np.isfinite(scan.points).all(axis=1)
     points = scan.points[valid] @ T_imu_lidar[:3, :3].T.astype(np.float32) + T_imu_lidar[:3, 3].astype(np.float32)
     return ScanResult(

@@ -59,7 +59,7 @@ class ImuBuffer:
     def until(self, end_ns: int) -> ImuBatch:
         """Return the samples held up to the first one at or after ``end_ns``."""
         self._merge()
-        return self._slice(0, int(np.searchsorted(self._stamps, end_ns, side="left")) + 1)
+        return self._held[: int(np.searchsorted(self._held.stamps_ns, end_ns, side="left")) + 1]
 
     def everything(self) -> ImuBatch:
         """Return all samples held."""
