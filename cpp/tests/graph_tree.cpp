@@ -27,8 +27,8 @@ struct Linear {  // residual x_j - F x_i - u, or x_j - u where i < 0
 // The tree, and what it should hold.
 class Pair {
  public:
-  // At most about `most` steps an update; the rest waits.
-  explicit Pair(unsigned seed, size_t most = kAll) : random_(seed), most_(most) {}
+  // At most about `max_steps` variables solved in an update; the rest is deferred.
+  explicit Pair(unsigned seed, size_t max_steps = kAll) : random_(seed), max_steps_(max_steps) {}
 
   int32_t variable(bool held) {
     const int d = 1 + static_cast<int>(random_() % 4);
@@ -59,12 +59,12 @@ class Pair {
   }
 
   int32_t update() {
-    if (most_ == kAll) tree.relinearize(0.0, kAll, true);  // or all cliques would be made anew, and no step could wait
+    if (max_steps_ == kAll) tree.relinearize(0.0, kAll, true);  // or all cliques would be made again, and no step could wait
     tree.detach();
     tree.reorder();
     const int32_t failed = tree.eliminate(kAll);
-    if (failed < 0) tree.solve(0.0, 0.0, most_, most_ / 2);
-    put_off += tree.deferred();
+    if (failed < 0) tree.solve({0.0, 0.0, max_steps_, max_steps_ / 2});
+    deferred += tree.deferred();
     return failed;
   }
 
@@ -93,7 +93,7 @@ class Pair {
   unsigned draw(unsigned below) { return static_cast<unsigned>(random_()) % below; }
 
   BayesTree tree;
-  size_t put_off = 0;
+  size_t deferred = 0;
   std::vector<int> dof;
   std::vector<std::vector<double>> value;
   std::vector<bool> is_held;
@@ -155,8 +155,8 @@ class Pair {
     if (known != kinds_.end()) return known->second;
     const std::vector<int32_t> dofs = di == 0 ? std::vector<int32_t>{dj} : std::vector<int32_t>{di, dj};
     const std::vector<int32_t> manifolds(dofs.size(), static_cast<int32_t>(Manifold::vector));
-    const int32_t made = tree.add_kind(di == 0 ? FactorType::prior : FactorType::linear_motion, manifolds, dofs, dj,
-                                       NoiseForm::scalar, KernelType::none, 1.0);
+    const FactorType type = di == 0 ? FactorType::prior : FactorType::linear_motion;
+    const int32_t made = tree.add_kind({type, manifolds, dofs, dj, NoiseForm::scalar, KernelType::none, 1.0});
     kinds_.emplace(std::pair{di, dj}, made);
     return made;
   }
@@ -169,7 +169,7 @@ class Pair {
   }
 
   std::mt19937 random_;
-  size_t most_;
+  size_t max_steps_;
   std::map<std::pair<int, int>, int32_t> kinds_;
 };
 
@@ -212,8 +212,8 @@ void check_saved(const BayesTree& tree) {
   }
 }
 
-void grow(unsigned seed, int steps, size_t most) {
-  Pair pair(seed, most);
+void grow(unsigned seed, int steps, size_t max_steps) {
+  Pair pair(seed, max_steps);
   for (int step = 0; step < steps; ++step) {
     for (unsigned n = 1 + pair.draw(3); n > 0; --n) {
       const auto before = static_cast<unsigned>(pair.dof.size());
@@ -231,7 +231,7 @@ void grow(unsigned seed, int steps, size_t most) {
     if (step % 11 == 10) check_saved(pair.tree);
   }
   pair.check();
-  CHECK((most < kAll) == (pair.put_off > 0));
+  CHECK((max_steps < kAll) == (pair.deferred > 0));
 }
 
 }  // namespace

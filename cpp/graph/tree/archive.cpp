@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: MIT
-// The state of a Bayes tree as bytes: little-endian counts and raw arrays in the order of `archive`, then a checksum.
-#include <algorithm>
+#include "graph/tree/archive.hpp"
+
 #include <cstring>
 #include <stdexcept>
 #include <type_traits>
-
-#include "graph/tree/bayes_tree.hpp"
+#include <utility>
 
 namespace heliograph {
 
@@ -110,10 +109,10 @@ void whole_kind(Archive& with, FactorGroup& kind) {
   for (std::vector<double>& jacobian : kind.jacobian) arrays(with, jacobian);
 }
 
-template <typename Archive, typename Saved>
-void saved_variables(Archive& with, std::vector<Saved>& all) {
+template <typename Archive>
+void saved_variables(Archive& with, std::vector<SavedVariable>& all) {
   all.resize(with.count(all.size()));
-  for (Saved& saved : all) {
+  for (SavedVariable& saved : all) {
     plain(with, saved.variable);
     arrays(with, saved.theta, saved.delta);
   }
@@ -125,85 +124,87 @@ void whole_clique(Archive& with, BlockPool& pool, Clique& clique) {
         clique.rows, clique.height, clique.update_height, clique.flagged, clique.unsolved, clique.deferred, clique.solved);
   arrays(with, clique.nodes);
   if (clique.nodes.empty()) return;  // not in use
-  block(with, pool, clique.factor, static_cast<size_t>(clique.height) * static_cast<size_t>(clique.pivots));
-  block(with, pool, clique.update, static_cast<size_t>(clique.update_height) * static_cast<size_t>(clique.rows));
+  block(with, pool, clique.factor, clique.factor_doubles());
+  block(with, pool, clique.update, clique.update_doubles());
+}
+
+// The layout, one list for both ways.
+template <typename Archive>
+void whole_tree(Archive& with, StoredTree& tree) {
+  uint64_t mark = kMark;
+  plain(with, mark);
+  if (mark != kMark) damaged();
+  auto& [v, factors, cliques, journal, top, kept_order, steps, counts] = tree;
+  arrays(with, v.manifold, v.dof, v.theta_at, v.delta_at, v.clique_of, v.theta, v.delta, v.changed, v.fluid_flag, v.held, v.frozen,
+         v.fluid);
+  arrays(with, factors.free, cliques.free, cliques.roots, steps.made, steps.attached, steps.deferred);
+  arrays(with, top.affected, top.orphans, top.factors, journal.put_back, kept_order);
+  for (std::vector<int32_t>& free : v.free) arrays(with, free);
+  saved_variables(with, journal.slice_saved);
+  plain(with, top.update_number, steps.solve_number, counts, top.open, v.free_count, steps.eliminated, steps.wildfire,
+        steps.relinearize);
+  factors.kinds.resize(with.count(factors.kinds.size()));
+  factors.free_rows.resize(factors.kinds.size());
+  for (size_t k = 0; k < factors.kinds.size(); ++k) {
+    whole_kind(with, factors.kinds[k]);
+    arrays(with, factors.free_rows[k]);
+  }
+  factors.factors.resize(with.count(factors.factors.size()));
+  for (TreeFactor& factor : factors.factors) {
+    plain(with, factor.kind, factor.index, factor.clique, factor.next, factor.stale);
+    if (factor.kind < 0) continue;
+    if (static_cast<size_t>(factor.kind) >= factors.kinds.size()) damaged();
+    block(with, factors.blocks, factor.block, block_size(factors.kinds[static_cast<size_t>(factor.kind)]));
+  }
+  cliques.all.resize(with.count(cliques.all.size()));
+  for (Clique& clique : cliques.all) whole_clique(with, cliques.blocks, clique);
+}
+
+void check_indices(const std::vector<int32_t>& indices, size_t size) {
+  for (const int32_t index : indices)
+    if (index < -1 || (index >= 0 && static_cast<size_t>(index) >= size)) damaged();
+}
+
+// Whoever gets past the checksum wrote it on purpose; sizes that would be read out of bounds are refused all the same.
+void check(const StoredTree& tree) {
+  const TreeVariables::Stored& v = tree.variables;
+  const size_t variables = v.dof.size(), cliques = tree.cliques.all.size(), factors = tree.factors.factors.size();
+  for (const size_t size : {v.manifold.size(), v.theta_at.size(), v.delta_at.size(), v.clique_of.size(), v.changed.size(),
+                            v.fluid_flag.size(), v.held.size(), v.frozen.size()})
+    if (size != variables) damaged();
+  for (const std::vector<int32_t>& free : v.free) check_indices(free, variables);
+  for (const std::vector<int32_t>* list : {&v.fluid, &tree.top.affected, &tree.journal.put_back, &tree.kept_order})
+    check_indices(*list, variables);
+  for (const SavedVariable& saved : tree.journal.slice_saved) check_indices({saved.variable}, variables);
+  for (const std::vector<int32_t>* list : {&v.clique_of, &tree.cliques.free, &tree.cliques.roots, &tree.top.orphans,
+                                           &tree.steps.made, &tree.steps.attached, &tree.steps.deferred})
+    check_indices(*list, cliques);
+  check_indices(tree.top.factors, factors);
+  check_indices(tree.factors.free, factors);
+  for (const Clique& clique : tree.cliques.all) {
+    check_indices({clique.parent, clique.child, clique.next, clique.previous}, cliques);
+    check_indices({clique.first_factor}, factors);
+    check_indices(clique.nodes, variables);
+  }
+  for (const TreeFactor& factor : tree.factors.factors) {
+    check_indices({factor.clique}, cliques);
+    check_indices({factor.next}, factors);
+  }
 }
 
 }  // namespace
 
-template <typename Archive>
-void BayesTree::archive(Archive& with) {
-  uint64_t mark = kMark;
-  plain(with, mark);
-  if (mark != kMark) damaged();
-  arrays(with, manifold_, dof_, theta_at_, delta_at_, clique_of_, theta_, delta_, changed_, fluid_flag_, held_, frozen_, fluid_);
-  arrays(with, free_factors_, free_cliques_, roots_, made_, attached_, deferred_);
-  arrays(with, affected_, orphans_, open_factors_, undo_, kept_order_);
-  for (std::vector<int32_t>& free : free_variables_) arrays(with, free);
-  saved_variables(with, job_saved_);
-  plain(with, update_number_, solve_number_, counts_, open_, free_count_, eliminated_, wildfire_, fluid_threshold_);
-  kinds_.resize(with.count(kinds_.size()));
-  free_rows_.resize(kinds_.size());
-  for (size_t k = 0; k < kinds_.size(); ++k) {
-    whole_kind(with, kinds_[k]);
-    arrays(with, free_rows_[k]);
-  }
-  factors_.resize(with.count(factors_.size()));
-  for (TreeFactor& factor : factors_) {
-    plain(with, factor.kind, factor.index, factor.clique, factor.next, factor.stale);
-    if (factor.kind < 0) continue;
-    if (static_cast<size_t>(factor.kind) >= kinds_.size()) damaged();
-    block(with, factor_blocks_, factor.block, block_size(kinds_[static_cast<size_t>(factor.kind)]));
-  }
-  cliques_.resize(with.count(cliques_.size()));
-  for (Clique& clique : cliques_) whole_clique(with, clique_blocks_, clique);
-}
-
-std::vector<uint8_t> BayesTree::save() const {
-  if (!idle() || !removed_.empty() || !weighed_.empty())
-    throw std::invalid_argument("an update is under way; save between updates");
+std::vector<uint8_t> write_tree(StoredTree tree) {
   Writer writer;
-  const_cast<BayesTree*>(this)->archive(writer);  // one list of members serves both ways; writing changes none
+  whole_tree(writer, tree);
   return writer.take();
 }
 
-void BayesTree::load(std::span<const uint8_t> bytes) {
-  if (!dof_.empty() || !kinds_.empty()) throw std::invalid_argument("only an empty tree can load a state");
+void read_tree(StoredTree tree, std::span<const uint8_t> bytes) {
   Reader reader(bytes);
-  archive(reader);
+  whole_tree(reader, tree);
   if (!reader.done()) damaged();
-  check_loaded();
-  touched_flag_.assign(dof_.size(), 0);
-  local_.assign(dof_.size(), -1);
-}
-
-// Whoever gets past the checksum wrote it on purpose; sizes that would be read out of bounds are refused all the same.
-void BayesTree::check_loaded() const {
-  const size_t n = dof_.size();
-  for (const size_t size : {manifold_.size(), theta_at_.size(), delta_at_.size(), clique_of_.size(), changed_.size(),
-                            fluid_flag_.size(), held_.size(), frozen_.size()})
-    if (size != n) damaged();
-  const auto inside = [](int32_t index, size_t size) {
-    if (index < -1 || (index >= 0 && static_cast<size_t>(index) >= size)) damaged();
-  };
-  for (size_t v = 0; v < n; ++v) inside(clique_of_[v], cliques_.size());
-  for (const std::vector<int32_t>& free : free_variables_)
-    for (const int32_t v : free) inside(v, n);
-  for (const std::vector<int32_t>* list : {&affected_, &undo_, &kept_order_})
-    for (const int32_t v : *list) inside(v, n);
-  for (const Saved& saved : job_saved_) inside(saved.variable, n);
-  for (const std::vector<int32_t>* list : {&orphans_, &deferred_})
-    for (const int32_t c : *list) inside(c, cliques_.size());
-  for (const int32_t f : open_factors_) inside(f, factors_.size());
-  for (const Clique& clique : cliques_) {
-    for (const int32_t link : {clique.parent, clique.child, clique.next, clique.previous}) inside(link, cliques_.size());
-    inside(clique.first_factor, factors_.size());
-    for (const int32_t v : clique.nodes) inside(v, n);
-  }
-  for (const TreeFactor& factor : factors_) {
-    inside(factor.clique, cliques_.size());
-    inside(factor.next, factors_.size());
-  }
+  check(tree);
 }
 
 }  // namespace heliograph

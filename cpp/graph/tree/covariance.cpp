@@ -1,11 +1,8 @@
 // SPDX-License-Identifier: MIT
-// Covariances from the Bayes tree: work for the cliques between the asked variables and the root only.
-#include <Eigen/Dense>
-#include <algorithm>
-#include <stdexcept>
-#include <unordered_map>
+#include "graph/tree/covariance.hpp"
 
-#include "graph/tree/bayes_tree.hpp"
+#include <Eigen/Dense>
+#include <unordered_map>
 
 namespace heliograph {
 
@@ -21,11 +18,11 @@ Columns columns_of(const Clique& clique) {
 // The cliques between some variables and the root, parents first.
 class Paths {
  public:
-  Paths(const BayesTree& tree, std::span<const int32_t> variables) : cliques_(tree.all_cliques()) {
+  Paths(const TreeStore& store, std::span<const int32_t> variables) : cliques_(store.cliques) {
     std::vector<int32_t> path;
     for (const int32_t v : variables) {
       path.clear();
-      for (int32_t c = tree.clique_of()[static_cast<size_t>(v)]; c >= 0 && !waiting_.contains(c); c = at(c).parent) {
+      for (int32_t c = store.variables.clique_of(v); c >= 0 && !waiting_.contains(c); c = at(c).parent) {
         waiting_.emplace(c, 0);
         path.push_back(c);
       }
@@ -35,14 +32,14 @@ class Paths {
     }
   }
 
-  const Clique& at(int32_t clique) const { return cliques_[static_cast<size_t>(clique)]; }
+  const Clique& at(int32_t clique) const { return cliques_[clique]; }
   const std::vector<int32_t>& order() const { return order_; }
   // Counts a child as done; true when it was the last.
   bool last_of(int32_t clique) { return --waiting_[clique] == 0; }
   bool awaited(int32_t clique) const { return waiting_.at(clique) > 0; }
 
  private:
-  const std::vector<Clique>& cliques_;
+  const TreeCliques& cliques_;
   std::vector<int32_t> order_;
   std::unordered_map<int32_t, int32_t> waiting_;  // children on the paths that still need its block
 };
@@ -64,35 +61,35 @@ Matrix clique_inverse(const Clique& clique, const Matrix& Z22) {
 }
 
 // Scalar place of each variable in a clique's block.
-std::unordered_map<int32_t, Eigen::Index> places_in(const Clique& clique, const std::vector<int32_t>& dof) {
+std::unordered_map<int32_t, Eigen::Index> places_in(const Clique& clique, const TreeVariables& variables) {
   std::unordered_map<int32_t, Eigen::Index> place;
   Eigen::Index at = 0;
   for (const int32_t v : clique.nodes) {
     place.emplace(v, at);
-    at += dof[static_cast<size_t>(v)];
+    at += variables.dof(v);
   }
   return place;
 }
 
 // The part of the parent's block that belongs to the rows of a child.
-Matrix rows_of_parent(const Clique& clique, const Clique& parent, const Matrix& Z, const std::vector<int32_t>& dof) {
-  const auto place = places_in(parent, dof);
+Matrix rows_of_parent(const Clique& clique, const Clique& parent, const Matrix& Z, const TreeVariables& variables) {
+  const auto place = places_in(parent, variables);
   std::vector<Eigen::Index> from;
-  for (size_t i = static_cast<size_t>(clique.pivot_nodes); i < clique.nodes.size(); ++i)
-    for (int32_t k = 0; k < dof[static_cast<size_t>(clique.nodes[i])]; ++k) from.push_back(place.at(clique.nodes[i]) + k);
+  for (int32_t i = clique.first_row(); i < clique.node_count(); ++i)
+    for (int32_t k = 0; k < variables.dof(clique.node(i)); ++k) from.push_back(place.at(clique.node(i)) + k);
   return Z(from, from);
 }
 
 // Solves H X = E for a few columns, on the paths only: elsewhere L^-1 E is zero and X is not asked for.
 class PathSolve {
  public:
-  PathSolve(const Paths& paths, const std::vector<int32_t>& dof, Eigen::Index columns) : paths_(paths), dof_(dof) {
+  PathSolve(const Paths& paths, const TreeVariables& variables, Eigen::Index columns) : paths_(paths), variables_(variables) {
     Eigen::Index size = 0;
     for (const int32_t c : paths.order())
       for (int32_t i = 0; i < paths.at(c).pivot_nodes; ++i) {
-        const int32_t v = paths.at(c).nodes[static_cast<size_t>(i)];
+        const int32_t v = paths.at(c).node(i);
         first_.emplace(v, size);
-        size += dof[static_cast<size_t>(v)];
+        size += variables.dof(v);
       }
     X_ = Matrix::Zero(size, columns);
   }
@@ -121,58 +118,60 @@ class PathSolve {
  private:
   std::vector<Eigen::Index> rows(const Clique& clique) const {
     std::vector<Eigen::Index> out;
-    for (size_t i = static_cast<size_t>(clique.pivot_nodes); i < clique.nodes.size(); ++i)
-      for (int32_t k = 0; k < dof_[static_cast<size_t>(clique.nodes[i])]; ++k) out.push_back(first(clique.nodes[i]) + k);
+    for (int32_t i = clique.first_row(); i < clique.node_count(); ++i)
+      for (int32_t k = 0; k < variables_.dof(clique.node(i)); ++k) out.push_back(first(clique.node(i)) + k);
     return out;
   }
 
   const Paths& paths_;
-  const std::vector<int32_t>& dof_;
+  const TreeVariables& variables_;
   std::unordered_map<int32_t, Eigen::Index> first_;
   Matrix X_;
 };
 
 }  // namespace
 
-std::vector<double> BayesTree::covariance(std::span<const int32_t> variables) const {
-  std::unordered_map<int32_t, std::vector<size_t>> asked;  // of each clique: where its variables' blocks go
-  std::vector<size_t> offset(variables.size() + 1, 0);
-  for (size_t i = 0; i < variables.size(); ++i) {
-    const auto v = static_cast<size_t>(variables[i]);
-    offset[i + 1] = offset[i] + static_cast<size_t>(dof_.at(v)) * static_cast<size_t>(dof_[v]);
-    if (clique_of_[v] >= 0) asked[clique_of_[v]].push_back(i);
+std::vector<double> TreeCovariance::blocks(std::span<const int32_t> asked) const {
+  const TreeVariables& variables = store_.variables;
+  std::unordered_map<int32_t, std::vector<size_t>> asked_of;  // a clique: where its variables' blocks go
+  std::vector<size_t> offset(asked.size() + 1, 0);
+  for (size_t i = 0; i < asked.size(); ++i) {
+    const auto dof = static_cast<size_t>(variables.dof(asked[i]));
+    offset[i + 1] = offset[i] + dof * dof;
+    if (const int32_t c = variables.clique_of(asked[i]); c >= 0) asked_of[c].push_back(i);
   }
   std::vector<double> out(offset.back(), 0.0);  // held variables have none
-  Paths paths(*this, variables);
+  Paths paths(store_, asked);
   std::unordered_map<int32_t, Matrix> kept;
   for (const int32_t c : paths.order()) {
     const Clique& clique = paths.at(c);
-    const bool root = clique.parent < 0;
-    Matrix Z = clique_inverse(clique, root ? Matrix() : rows_of_parent(clique, paths.at(clique.parent), kept.at(clique.parent), dof_));
-    const auto here = asked.find(c);
-    if (here != asked.end()) {
-      const auto place = places_in(clique, dof_);
+    const int32_t parent = clique.parent;
+    const Matrix above = parent < 0 ? Matrix() : rows_of_parent(clique, paths.at(parent), kept.at(parent), variables);
+    Matrix Z = clique_inverse(clique, above);
+    if (const auto here = asked_of.find(c); here != asked_of.end()) {
+      const auto place = places_in(clique, variables);
       for (const size_t i : here->second) {
-        const Eigen::Index first = place.at(variables[i]), d = dof_[static_cast<size_t>(variables[i])];
+        const Eigen::Index first = place.at(asked[i]), d = variables.dof(asked[i]);
         Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(out.data() + offset[i], d, d) =
             Z.block(first, first, d, d);
       }
     }
-    if (!root && paths.last_of(clique.parent)) kept.erase(clique.parent);
+    if (parent >= 0 && paths.last_of(parent)) kept.erase(parent);
     if (paths.awaited(c)) kept.emplace(c, std::move(Z));
   }
   return out;
 }
 
-std::vector<double> BayesTree::joint_covariance(std::span<const int32_t> variables) const {
+std::vector<double> TreeCovariance::joint(std::span<const int32_t> asked) const {
+  const TreeVariables& variables = store_.variables;
   Eigen::Index size = 0;
-  for (const int32_t v : variables) size += dof_.at(static_cast<size_t>(v));
-  const Paths paths(*this, variables);
-  PathSolve solve(paths, dof_, size);
+  for (const int32_t v : asked) size += variables.dof(v);
+  const Paths paths(store_, asked);
+  PathSolve solve(paths, variables, size);
   std::vector<Eigen::Index> place;  // of each asked scalar; -1: held
-  for (const int32_t v : variables)
-    for (int32_t k = 0; k < dof_[static_cast<size_t>(v)]; ++k) {
-      const bool held = clique_of_[static_cast<size_t>(v)] < 0;
+  for (const int32_t v : asked)
+    for (int32_t k = 0; k < variables.dof(v); ++k) {
+      const bool held = variables.clique_of(v) < 0;
       if (!held) solve.X()(solve.first(v) + k, static_cast<Eigen::Index>(place.size())) = 1.0;
       place.push_back(held ? -1 : solve.first(v) + k);
     }
