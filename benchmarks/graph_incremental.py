@@ -25,7 +25,7 @@ INCREMENTAL_GRAPHS = ("M3500", "intel", "kitti_00", "sphere2500", "parking-garag
 _SCALE_POSES = 1_000_000
 _LIMIT = 500.0  # seconds of updates
 _LAG = "200"  # poses that the fixed-lag smoother keeps
-_BOUNDS = ("2000", "500")  # of the work of one update on the long drive: `most_steps`, `most_relinearized`
+_BOUNDS = ("2000", "500")  # of the work of one update on the long drive: `max_steps`, `max_relinearized`
 _SEED = 1
 _STATISTICS = ("seconds", "mean_ms", "p50_ms", "p99_ms", "max_ms")
 

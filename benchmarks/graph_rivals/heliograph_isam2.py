@@ -1,6 +1,6 @@
 """Heliograph's iSAM2, one pose at a time with all its factors: `skip`, and after `limit` seconds it ends.
 
-Two more numbers, if given, bound an update's work: `most_steps` and `most_relinearized`.
+Two more numbers, if given, bound an update's work: `max_steps` and `max_relinearized`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ LIMIT = float(sys.argv[4])
 file = read_pose_graph(sys.argv[1])
 count = len(file.pose_ids)
 steps = replay_steps(file.graph(), file.odometry_values())
-bounds = dict(zip(("most_steps", "most_relinearized"), map(int, sys.argv[5:]), strict=False))
+bounds = dict(zip(("max_steps", "max_relinearized"), map(int, sys.argv[5:]), strict=False))
 smoother = ISAM2(ISAM2Settings(relinearize_skip=int(sys.argv[3]), **bounds))
 bytes_a_pose = []
 if count <= 100_000:

@@ -182,3 +182,9 @@ def distance(a, b):
         x, y = (getattr(v, "matrix", v) for v in (x, y))
         largest = max(largest, float(np.abs(np.asarray(x) - np.asarray(y)).max()))
     return largest
+
+
+def cliques_of(tree):
+    """Return all that a native tree says of its cliques, as lists."""
+    table = tree.clique_table()
+    return [x.tolist() for x in (table.number, table.parent, table.pivots, table.sizes, table.variables, table.made)]

@@ -14,7 +14,9 @@ from heliograph.graph.files.posegraph import PoseGraphFile
 from heliograph.graph.files.posegraph_of import pose_graph_of
 from heliograph.graph.incremental.cliques import CliqueRecord, plot_cliques, tree_to_dot
 from heliograph.graph.incremental.fixed_lag import FixedLagSmoother
-from heliograph.graph.incremental.isam2 import ISAM2, ISAM2Settings, UpdateResult
+from heliograph.graph.incremental.isam2 import ISAM2
+from heliograph.graph.incremental.settings import ISAM2Settings
+from heliograph.graph.incremental.update_result import UpdateResult
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.factors import Bearing, Between, Landmark, LinearMotion, Position, Prior, Range

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CliqueRecord", "clique_records", "plot_cliques", "tree_to_dot"]
 
-_MOST_CLIQUES = 500
+_MAX_CLIQUES = 500
 _TOUCHED, _RESTING = "#e0a15e", "#1f4e79"
 
 
@@ -47,10 +47,10 @@ class CliqueRecord:
 
 def clique_records(state: TreeState) -> tuple[CliqueRecord, ...]:
     """Return the cliques of a state, parents before their children."""
-    index, parent, pivots, sizes, nodes = state.native.clique_table()
-    keys = state.key_of(nodes).tolist()
-    touched = set(state.native.made().tolist())
-    starts = np.concatenate([[0], np.cumsum(sizes)]).tolist()
+    table = state.native.clique_table()
+    keys = state.key_of(table.variables).tolist()
+    touched = set(table.made.tolist())
+    starts = np.concatenate([[0], np.cumsum(table.sizes)]).tolist()
     records = {
         number: CliqueRecord(
             number=number,
@@ -60,7 +60,7 @@ def clique_records(state: TreeState) -> tuple[CliqueRecord, ...]:
             touched=number in touched,
         )
         for number, above, count, start, end in zip(
-            index.tolist(), parent.tolist(), pivots.tolist(), starts[:-1], starts[1:], strict=True
+            table.number.tolist(), table.parent.tolist(), table.pivots.tolist(), starts[:-1], starts[1:], strict=True
         )
     }
     children: dict[int | None, list[int]] = {}
@@ -89,9 +89,9 @@ def tree_to_dot(cliques: Sequence[CliqueRecord], *, names: Mapping[int, str] | N
     GraphError
         More than 500 cliques: nobody could read the picture.
     """
-    if len(cliques) > _MOST_CLIQUES:
+    if len(cliques) > _MAX_CLIQUES:
         raise GraphError(
-            f"a tree of {len(cliques)} cliques cannot be read as a drawing (at most {_MOST_CLIQUES}); "
+            f"a tree of {len(cliques)} cliques cannot be read as a drawing (at most {_MAX_CLIQUES}); "
             "give a part of them, or plot them with plot_cliques"
         )
     names = names or {}

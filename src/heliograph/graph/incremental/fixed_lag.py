@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.errors import GraphError
-from heliograph.graph.incremental.isam2 import ISAM2, ISAM2Settings, UpdateResult
+from heliograph.graph.incremental.isam2 import ISAM2
+from heliograph.graph.incremental.settings import ISAM2Settings
+from heliograph.graph.incremental.update_result import UpdateResult
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.families import Value
 from heliograph.graph.model.records import as_keys
@@ -60,7 +62,7 @@ class FixedLagSmoother:
         *,
         remove: ArrayLike = (),
         iterate: float | None = None,
-        most_variables: int | None = None,
+        max_variables: int | None = None,
     ) -> UpdateResult:
         """Update as `ISAM2.update` does, then marginalise out what has become too old.
 
@@ -69,8 +71,8 @@ class FixedLagSmoother:
         graph, values
             New factors and variables.
         stamps : mapping of key to time, or (keys, times), optional
-            Of new variables, or later ones of variables that are to be kept longer. Finite.
-        remove, iterate, most_variables
+            Stamps of new variables, or later ones of variables that are to be kept longer. Finite.
+        remove, iterate, max_variables
             As `ISAM2.update` takes them. While variables wait to be eliminated nothing is marginalised out.
 
         Raises
@@ -79,7 +81,7 @@ class FixedLagSmoother:
             A stamp is not finite or is of an unknown key, or as `ISAM2.update` says. Nothing has changed.
         """
         times = self._checked(stamps, values)
-        result = self.smoother.update(graph, values, remove=remove, iterate=iterate, most_variables=most_variables)
+        result = self.smoother.update(graph, values, remove=remove, iterate=iterate, max_variables=max_variables)
         for key, time in times.items():
             if self.smoother._state.held(key):
                 continue

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
 from heliograph.errors import UnderconstrainedError
-from heliograph.graph.incremental.isam2 import ISAM2, UpdateResult
+from heliograph.graph.incremental.isam2 import ISAM2
 from heliograph.graph.incremental.replay_order import ReplayOrder, Source
+from heliograph.graph.incremental.update_result import UpdateResult
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.subgraph import split
 from heliograph.graph.model.values import Values
@@ -59,7 +60,7 @@ def replay_steps(graph: FactorGraph, values: Values) -> Iterator[ReplayStep]:
     Parameters
     ----------
     graph : FactorGraph
-        Of `Between` and `Prior` of SE2 or SE3, `Landmark` and `Position`.
+        Made of `Between` and `Prior` of SE2 or SE3, `Landmark` and `Position`.
     values : Values
         One for each variable.
 

@@ -28,7 +28,7 @@ class Source(NamedTuple):
     Parameters
     ----------
     key : int
-        Of the variable.
+        The variable's.
     origin : int or None
         The pose it is seen from.
     relative : SE2, SE3 or (d,) float64

@@ -16,13 +16,17 @@ from numpy.typing import NDArray
 from heliograph.atomic import atomic_path
 from heliograph.errors import FormatError, GraphError
 from heliograph.graph.files.archive import KERNELS, family_called, name_of
-from heliograph.graph.incremental.tree_state import Own, TreeState
+from heliograph.graph.incremental.custom_factors import CustomKind
+from heliograph.graph.incremental.tree_state import TreeState
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.key_runs import KeyRuns
 
 __all__ = ["read_state", "state_arrays", "state_from", "write_state"]
 
-VERSION = 2
+VERSION = 3
+OLDEST_READ = 2
+# Settings that version 2 wrote under another name.
+_RENAMED_SETTINGS = {"most_steps": "max_steps", "most_relinearized": "max_relinearized"}
 
 _Arrays = dict[str, NDArray[Any]]
 
@@ -51,7 +55,7 @@ def state_arrays(state: TreeState) -> _Arrays:
             }
         )
         if own is not None:
-            entry, prefix = state._own[number], f"own{number}"
+            entry, prefix = state._custom.kinds[number], f"own{number}"
             members = list(entry.scopes)
             arrays[f"{prefix}.numbers"] = np.array(members, dtype=np.int32)
             arrays[f"{prefix}.scopes"] = np.array([entry.scopes[n] for n in members], dtype=np.int32)
@@ -90,7 +94,8 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
         number = entry["number"]
         state._kinds[(entry["code"], own, families, entry["form"], kernel, entry["rows"], shapes)] = number
         if own is not None:
-            state._own[number] = _own_members(Own(own, families), arrays, f"own{number}", len(shapes))
+            members = _own_members(CustomKind(own, families), arrays, f"own{number}", len(shapes))
+            state._custom.kinds[number] = members
     state.native.load(arrays["tree"].tobytes())
     slots = {state.native.slots, len(state._keys), len(state._families)}
     if state.native.variables != len(state._number) or len(slots) != 1:
@@ -99,7 +104,7 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
     return state
 
 
-def _own_members(own: Own, arrays: Mapping[str, NDArray[Any]], prefix: str, data: int) -> Own:
+def _own_members(own: CustomKind, arrays: Mapping[str, NDArray[Any]], prefix: str, data: int) -> CustomKind:
     items = [arrays[f"{prefix}.data{d}"] for d in range(data)]
     for row, number in enumerate(arrays[f"{prefix}.numbers"].tolist()):
         own.scopes[number] = arrays[f"{prefix}.scopes"][row]
@@ -153,12 +158,13 @@ def read_state(path: Path | str, factors: Iterable[type[Factor]]) -> tuple[TreeS
             raise FormatError(
                 path, f"was written by a later version ({about['version']} > {VERSION}); update Heliograph"
             )
-        if about["version"] < VERSION:
+        if about["version"] < OLDEST_READ:
             raise FormatError(
-                path, f"was written by an earlier version ({about['version']} < {VERSION}); replay the graph"
+                path, f"was written by an earlier version ({about['version']} < {OLDEST_READ}); replay the graph"
             )
+        about["settings"] = {_RENAMED_SETTINGS.get(name, name): value for name, value in about["settings"].items()}
         return state_from(arrays, factors), about
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror or error}); give a file of ISAM2.save") from error
     except (KeyError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
-        raise FormatError(path, f"is no saved smoother, or damaged ({error}); write it anew with ISAM2.save") from error
+        raise FormatError(path, f"is no saved smoother, or damaged ({error}); save it again with ISAM2.save") from error

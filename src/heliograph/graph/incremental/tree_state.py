@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -12,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph import _core
 from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.diagnosis.diagnosis import diagnose
+from heliograph.graph.incremental.budget import UNBOUNDED, Budget
+from heliograph.graph.incremental.custom_factors import CustomFactors, CustomKind
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import Added, FactorGraph
 from heliograph.graph.model.families import Family, Value
@@ -29,17 +30,6 @@ Ints = NDArray[np.int32]
 KindName: TypeAlias = tuple[
     int, type[Factor] | None, tuple[Family, ...], int, Kernel | None, int, tuple[tuple[int, ...], ...]
 ]
-Point: TypeAlias = Callable[[Ints], Array]  # packed values of variables, one after another
-
-
-@dataclass(slots=True)
-class Own:
-    """A user's own factors of one kind: their variables and data by factor number."""
-
-    factor: type[Factor]
-    families: tuple[Family, ...]
-    scopes: dict[int, Ints] = field(default_factory=dict)
-    data: dict[int, tuple[Array, ...]] = field(default_factory=dict)
 
 
 class _Staged(NamedTuple):
@@ -63,33 +53,34 @@ class TreeState:
         self._families: list[Family] = []
         self._left = KeyRuns()
         self._kinds: dict[KindName, int] = {}
-        self._own: dict[int, Own] = {}
-        self._fresh: set[int] = set()  # variables of the update that is under way
-        self._entered: list[tuple[int, int]] = []  # a user's own factors of the update that is under way: kind, number
-        self._leaving: list[int] = []
+        self._custom = CustomFactors()
         self._switched: dict[int, float] = {}  # weights that the next update brings in
+        # The update that is under way adds these variables and custom factors, and removes these factors.
+        self._fresh: set[int] = set()
+        self._entered: list[int] = []
+        self._removed: list[int] = []
 
     def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
         """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
         graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
         values = Values() if values is None else values
-        self._register(values)
+        self._add_variables(values)
         try:
             staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
             held = self._held(graph.fixed)
         except GraphError:
-            self.undo()
+            self.roll_back()
             raise
         if held is not None:
             self.native.hold(held)
         if len(staged) == 1:
-            return self._enter(staged[0])
+            return self._add_factors(staged[0])
         numbers = np.zeros(len(graph), dtype=np.int32)
         for part in staged:
-            numbers[part.rows] = self._enter(part)
+            numbers[part.rows] = self._add_factors(part)
         return numbers
 
-    def _register(self, values: Values) -> None:
+    def _add_variables(self, values: Values) -> None:
         keys = values.keys().tolist()
         known = [key for key in keys if key in self._number]
         if known:
@@ -110,33 +101,73 @@ class TreeState:
                 self._fresh.add(number)
                 at += 1
 
-    def undo(self) -> None:
-        """Drop what the update that is under way has brought: everything is as it was before."""
+    def roll_back(self) -> None:
+        """Undo what the update that is under way has brought: everything is as it was before."""
         self.native.undo()
-        self._forget()
+        self._roll_back_names()
 
-    def _forget(self) -> None:
+    def _roll_back_names(self) -> None:
         for number in sorted(self._fresh, reverse=True):
             del self._number[self._keys[number]]
             if number >= self.native.slots:
                 del self._keys[number], self._families[number]
-        self._fresh.clear()
-        self._drop([number for _, number in self._entered])
-        self._entered, self._leaving, self._switched = [], [], {}
+        self._custom.drop(self._entered)
+        self._end_update()
 
-    def _drop(self, numbers: list[int]) -> None:
-        """Drop the data of a user's own factors; numbers of others are passed over."""
-        if numbers:
-            for own in self._own.values():
-                for number in numbers:
-                    own.scopes.pop(number, None)
-                    own.data.pop(number, None)
+    def _commit_names(self) -> None:
+        self._custom.drop(self._removed)
+        self._end_update()
 
-    def settle(self) -> None:
-        """Take the update for good: it is in the tree."""
+    def _end_update(self) -> None:
         self._fresh.clear()
-        self._drop(self._leaving)
-        self._entered, self._leaving, self._switched = [], [], {}
+        self._entered, self._removed, self._switched = [], [], {}
+
+    def relinearize(self, budget: Budget) -> int:
+        """Let variables take long steps into their linearisation points; return how many did."""
+        if not budget.relinearize:
+            return 0
+        return self.native.relinearize(budget.threshold, budget.relinearize, budget.farthest_first)
+
+    def detach(self) -> None:
+        """Take down the top of the tree, and evaluate the user's own factors in it that have to be linearised."""
+        self.native.detach()
+        try:
+            for kind, own in self._custom:
+                numbers = self.native.stale_factors(kind)
+                if numbers.size:
+                    self.native.set_custom(*own.evaluate(numbers, self.native.linearization_point))
+        except GraphError:
+            self.roll_back()
+            raise
+
+    def reorder(self) -> None:
+        """Order what was taken down: the newest last."""
+        self.native.reorder()
+
+    def eliminate(self, budget: Budget, graph: FactorGraph | None, values: Values | None) -> None:
+        """Eliminate what was taken down; the update is then in the tree for good.
+
+        Raises
+        ------
+        UnderconstrainedError
+            Something is not determined; the update is undone.
+        """
+        failed = self.native.eliminate(budget.eliminate)
+        if failed >= 0:
+            raise UnderconstrainedError(self._refused(failed, graph, values))
+        self._commit_names()
+
+    def solve(self, budget: Budget) -> int:
+        """Carry steps down, unless variables wait to be eliminated; return how many deferred ones it computed."""
+        if self.native.waiting:
+            return 0
+        return self.native.solve(budget.wildfire, budget.fluid_threshold, budget.steps, budget.deferred_steps)
+
+    def converged(self, threshold: float | None) -> bool:
+        """Return whether no step is longer than a threshold [rad, m], or without one whether nothing is left to do."""
+        if threshold is not None:
+            return self.native.largest_step() <= threshold
+        return not self.pending()
 
     def marginalize(self, keys: ArrayLike) -> None:
         """Take variables out of the tree; what their factors said stays as a summary."""
@@ -145,16 +176,15 @@ class TreeState:
         if held:
             raise GraphError(f"{key_list(np.array(held))}: held by `fix`; what is known is not marginalised out")
         self.native.leave(numbers)
-        self.native.detach()
-        self.evaluate_custom()
+        self.detach()
         self.native.reorder()
-        failed = self.native.eliminate()
+        failed = self.native.eliminate(UNBOUNDED)
         if failed >= 0:
             raise UnderconstrainedError(
                 f"key {self._keys[failed]}: not determined where it was last linearised; nothing was marginalised out"
             )
         summarised = self.native.drop_left().tolist()
-        self._drop(summarised)
+        self._custom.drop(summarised)
         for number in summarised:
             self._switched.pop(number, None)
         for number in numbers.tolist():
@@ -163,7 +193,7 @@ class TreeState:
             self._left.add(key)
 
     def pending(self) -> int:
-        """Return how many variables wait to be eliminated, else linearised anew, else branches put off."""
+        """Return how many variables wait to be eliminated, else relinearised, else how many branches are deferred."""
         return int(self.native.waiting or self.native.fluid or self.native.deferred)
 
     def _nothing_waiting(self) -> None:
@@ -240,7 +270,7 @@ class TreeState:
         if kind is None:
             kind = self._kinds[name] = self._new_kind(record.type, families, record.rows, noise, record.kernel)
             if own is not None:
-                self._own[kind] = Own(own, families)
+                self._custom.kinds[kind] = CustomKind(own, families)
         return kind
 
     def _new_kind(
@@ -256,16 +286,11 @@ class TreeState:
             1.0 if kernel is None else float(kernel.width),
         )
 
-    def _enter(self, part: _Staged) -> Ints:
+    def _add_factors(self, part: _Staged) -> Ints:
         numbers = self.native.add_factors(
             part.kind, part.scopes.reshape(-1), part.measurement.reshape(-1), part.sqrt_information.reshape(-1)
         )
-        own = self._own.get(part.kind)
-        if own is not None:
-            for row, number in enumerate(numbers.tolist()):
-                self._entered.append((part.kind, number))
-                own.scopes[number] = part.scopes[row]
-                own.data[number] = tuple(item[row] for item in part.data)
+        self._entered += self._custom.enter(part.kind, numbers, part.scopes, part.data)
         return numbers
 
     def remove(self, numbers: ArrayLike) -> None:
@@ -276,12 +301,12 @@ class TreeState:
         try:
             if array.size:
                 self.native.remove_factors(array)
-                self._leaving = array.tolist()
-            kept = {number: weight for number, weight in self._switched.items() if number not in self._leaving}
+                self._removed = array.tolist()
+            kept = {number: weight for number, weight in self._switched.items() if number not in self._removed}
             if kept:
                 self.native.weigh_factors(np.array(list(kept), dtype=np.int32), np.array(list(kept.values())))
         except ValueError as error:
-            self.undo()
+            self.roll_back()
             raise GraphError(f"factors {key_list(array)}: {error}; nothing was changed") from error
 
     def switch(self, numbers: ArrayLike, on: bool) -> None:
@@ -291,49 +316,22 @@ class TreeState:
             raise GraphError(f"factors {key_list(array)}: not all of them are in the smoother; nothing was switched")
         self._switched.update(dict.fromkeys(array.tolist(), 1.0 if on else 0.0))
 
-    def evaluate_custom(self) -> None:
-        """Evaluate the user's own factors that the update has to linearise."""
-        try:
-            for kind, own in self._own.items():
-                numbers = self.native.stale_factors(kind)
-                if numbers.size:
-                    self._evaluate(own, numbers, self.native.linearization_point)
-        except GraphError:
-            self.undo()
-            raise
-
-    @staticmethod
-    def _arrays(own: Own, numbers: Ints, point: Point) -> tuple[list[Array], tuple[Array, ...]]:
-        scopes = np.stack([own.scopes[n] for n in numbers.tolist()])
-        arrays = [
-            family.elements(point(np.ascontiguousarray(column)).reshape(-1, family.storage))
-            for family, column in zip(own.families, scopes.T, strict=True)
-        ]
-        data = tuple(np.stack(items) for items in zip(*(own.data[n] for n in numbers.tolist()), strict=True))
-        return arrays, data
-
-    def _evaluate(self, own: Own, numbers: Ints, point: Point) -> None:
-        arrays, data = self._arrays(own, numbers, point)
-        residual, jacobians = own.factor.evaluate(arrays, data, families=own.families)
-        flat = [np.ascontiguousarray(J).reshape(-1) for J in jacobians]
-        self.native.set_custom(numbers, np.ascontiguousarray(residual).reshape(-1), flat)
-
     def cost(self) -> float:
         """Return the cost of all factors at the estimate."""
         self.native.finish_steps()
-        for own in self._own.values():
+        for _, own in self._custom:
             numbers = np.array(sorted(own.scopes), dtype=np.int32)
             if numbers.size:
-                self._evaluate(own, numbers, self.native.estimate)
-        return float(self.native.cost()[1])
+                self.native.set_custom(*own.evaluate(numbers, self.native.estimate))
+        return self.native.cost()
 
-    def refused(self, variable: int, graph: FactorGraph | None, values: Values | None) -> str:
+    def _refused(self, variable: int, graph: FactorGraph | None, values: Values | None) -> str:
         """Return why an update was refused, and drop its variables; the tree has undone the rest."""
         key = self._keys[variable]
         text = f"the update would leave key {key} undetermined; it was not made, and the smoother stays as it was"
         if values is not None and variable in self._fresh:
             text = self._free(FactorGraph() if graph is None else graph, values) or text
-        self._forget()
+        self._roll_back_names()
         return text
 
     def _free(self, graph: FactorGraph, values: Values) -> str | None:
@@ -374,9 +372,9 @@ class TreeState:
         out = out.reshape(size, size)
         return np.asarray(0.5 * (out + out.T))
 
-    def own_factors(self) -> tuple[type[Factor], ...]:
+    def custom_classes(self) -> tuple[type[Factor], ...]:
         """Return the classes of the user's own factors, each once."""
-        return tuple(dict.fromkeys(own.factor for own in self._own.values()))
+        return self._custom.classes()
 
     def key_of(self, numbers: Ints) -> NDArray[np.int64]:
         """Return the keys of the native side's variables."""

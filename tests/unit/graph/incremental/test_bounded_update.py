@@ -57,7 +57,7 @@ def run(most, *, own=False, closures=((0, 100),), n=N, smoother=None):
             T_world = smoother.estimate(k - 1) @ T_step
             records = [between(k - 1, k, T_step, own)]
             records += [between(i, j, SE2.exp(np.zeros(3)), own) for i, j in closures if j == k]
-        results.append(smoother.update(graph_of(*records), one(k, T_world), most_variables=most))
+        results.append(smoother.update(graph_of(*records), one(k, T_world), max_variables=most))
         assert np.isfinite(smoother.estimate(k).log()).all()
     return smoother, results
 
@@ -71,7 +71,7 @@ def test_ends_where_the_unbounded_one_ends(most, own):
     assert max(result.reeliminated for result in results) <= most
     assert max(result.relinearized for result in results) <= most
     assert any(result.pending > most for result in results)
-    while (result := sliced.update(most_variables=most)).pending:
+    while (result := sliced.update(max_variables=most)).pending:
         assert result.reeliminated <= most
         assert result.relinearized <= most
         assert not result.converged
@@ -86,7 +86,7 @@ def test_ends_where_the_unbounded_one_ends(most, own):
 def test_estimates_stay_sensible_meanwhile():
     whole, _ = run(None)
     sliced, _ = run(8)
-    while sliced.update(most_variables=8).pending:
+    while sliced.update(max_variables=8).pending:
         pass
     keys = np.arange(N)
     away = whole.estimate(keys).inverse() @ sliced.estimate(keys)
@@ -96,7 +96,7 @@ def test_estimates_stay_sensible_meanwhile():
 def test_estimates_are_kept_until_the_work_is_done():
     smoother, _ = run(None, n=101, closures=())
     before = smoother.estimate(np.arange(101)).matrix
-    result = smoother.update(graph_of(Between(0, 100, SE2.exp(np.zeros(3)), Isotropic(0.01))), most_variables=10)
+    result = smoother.update(graph_of(Between(0, 100, SE2.exp(np.zeros(3)), Isotropic(0.01))), max_variables=10)
     assert result.pending > 0
     assert not result.converged
     np.testing.assert_array_equal(smoother.estimate(np.arange(101)).matrix, before)
@@ -109,7 +109,7 @@ def test_estimates_are_kept_until_the_work_is_done():
 
 def opened():
     smoother, _ = run(None, n=120, closures=())
-    result = smoother.update(graph_of(Between(0, 100, SE2.exp(np.zeros(3)), Isotropic(0.01))), most_variables=10)
+    result = smoother.update(graph_of(Between(0, 100, SE2.exp(np.zeros(3)), Isotropic(0.01))), max_variables=10)
     assert result.pending > 0
     return smoother
 
@@ -125,13 +125,13 @@ def test_refusals_leave_the_open_work_as_it_was(most):
     smoother = opened()
     pose = SE2.exp(np.zeros(3))
     with pytest.raises(UnderconstrainedError):
-        smoother.update(graph_of(Between(200, 201, pose, Isotropic(0.1))), two(200, 201), most_variables=most)
+        smoother.update(graph_of(Between(200, 201, pose, Isotropic(0.1))), two(200, 201), max_variables=most)
     with pytest.raises(GraphError):
-        smoother.update(graph_of(Between(3, 999, pose, Isotropic(0.1))), most_variables=most)
+        smoother.update(graph_of(Between(3, 999, pose, Isotropic(0.1))), max_variables=most)
     assert 200 not in smoother
-    smoother.update(most_variables=10)
+    smoother.update(max_variables=10)
     with pytest.raises(UnderconstrainedError):
-        smoother.update(graph_of(Between(200, 201, pose, Isotropic(0.1))), two(200, 201), most_variables=most)
+        smoother.update(graph_of(Between(200, 201, pose, Isotropic(0.1))), two(200, 201), max_variables=most)
     np.testing.assert_allclose(closed(smoother), expected, atol=1e-8, rtol=0)
 
 
@@ -145,7 +145,7 @@ def test_a_first_slice_refuses_what_is_free():
     smoother, _ = run(None, n=120, closures=())
     graph = graph_of(Between(np.array([0, 200]), np.array([100, 201]), SE2.exp(np.zeros((2, 3))), Isotropic(0.1)))
     with pytest.raises(UnderconstrainedError, match="200"):
-        smoother.update(graph, two(200, 201), most_variables=10)
+        smoother.update(graph, two(200, 201), max_variables=10)
     assert smoother.update().pending == 0
     assert smoother.covariance(5).shape == (3, 3)
 
@@ -153,9 +153,9 @@ def test_a_first_slice_refuses_what_is_free():
 def test_removal_while_open():
     expected = closed(run(None, n=120, closures=())[0])
     smoother, _ = run(None, n=120, closures=())
-    result = smoother.update(graph_of(Between(0, 100, SE2.exp(np.zeros(3)), Isotropic(0.01))), most_variables=10)
+    result = smoother.update(graph_of(Between(0, 100, SE2.exp(np.zeros(3)), Isotropic(0.01))), max_variables=10)
     assert result.pending
-    result = smoother.update(remove=result.factors, most_variables=10)
+    result = smoother.update(remove=result.factors, max_variables=10)
     np.testing.assert_allclose(closed(smoother), expected, atol=1e-8, rtol=0)
 
 
@@ -164,7 +164,7 @@ def test_saved_while_open(tmp_path):
     smoother.save(tmp_path / "state.npz")
     again = ISAM2.load(tmp_path / "state.npz")
     for _ in range(30):
-        assert smoother.update(most_variables=10).pending == again.update(most_variables=10).pending
+        assert smoother.update(max_variables=10).pending == again.update(max_variables=10).pending
     np.testing.assert_array_equal(again.estimate(np.arange(120)).matrix, smoother.estimate(np.arange(120)).matrix)
 
 
@@ -174,9 +174,9 @@ def test_marginalising_finishes_first():
     assert smoother.covariance(7).shape == (3, 3)
 
 
-@pytest.mark.parametrize("options", [{"most_variables": 0}, {"most_variables": 5, "iterate": 1e-3}])
+@pytest.mark.parametrize("options", [{"max_variables": 0}, {"max_variables": 5, "iterate": 1e-3}])
 def test_bad_bounds(options):
-    with pytest.raises(GraphError, match="most_variables"):
+    with pytest.raises(GraphError, match="max_variables"):
         ISAM2().update(**options)
 
 
@@ -185,7 +185,7 @@ def test_a_refusal_in_the_middle_of_a_relinearisation():
     smoother = opened()
     refused = 0
     for _ in range(60):
-        result = smoother.update(most_variables=10)
+        result = smoother.update(max_variables=10)
         if result.pending and smoother._state.native.waiting and refused < 5:
             with pytest.raises(UnderconstrainedError):
                 smoother.update(graph_of(Between(200, 201, SE2.exp(np.zeros(3)), Isotropic(0.1))), two(200, 201))

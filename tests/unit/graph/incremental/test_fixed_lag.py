@@ -174,7 +174,7 @@ class TestNonlinear:
     def test_nothing_leaves_while_variables_wait(self):
         kept, most = FixedLagSmoother(lag=20), []
         for k, graph, values in pose_steps(60, 9):
-            kept.update(graph, values, {k: float(k)}, most_variables=3)
+            kept.update(graph, values, {k: float(k)}, max_variables=3)
             most.append(len(kept.stamps))
         assert max(most) >= 21
         kept.update()

@@ -1,5 +1,6 @@
 """A saved smoother goes on to the bit; what is not one is refused with one message."""
 
+import json
 import pickle
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from heliograph.errors import FormatError, GraphError, OutputError
 from heliograph.graph import ISAM2, Huber, ISAM2Settings, read_pose_graph
 from heliograph.lie import SE2, SE3
-from reference.growth import Offset2, growth
+from reference.growth import Offset2, cliques_of, growth
 from reference.replay import Replay
 
 EAGER = ISAM2Settings(relinearize_threshold=1e-3, relinearize_skip=3)
@@ -19,7 +20,7 @@ def state(smoother):
     return (
         [packed.tobytes() for packed in smoother.estimate().packed()],
         tree.delta().tobytes(),
-        [array.tolist() for array in tree.clique_table()],
+        cliques_of(tree),
         smoother.cliques(),
     )
 
@@ -45,7 +46,7 @@ def again(smoother, path, own):
 def test_every_family_and_own_factors_go_on_to_the_bit(group, rng, tmp_path):
     steps = growth(group, 80, rng, kernel=Huber(0.7))
     first = half(steps)
-    own = first._state.own_factors()
+    own = first._state.custom_classes()
     assert len(own) == 1
     others = again(first, tmp_path / "smoother.npz", own)
     spare = []
@@ -141,13 +142,38 @@ def test_own_factors_need_their_class(rng, tmp_path):
         ISAM2.load(path, factors=[Other])
 
 
-@pytest.mark.parametrize(("version", "reason"), [(b"9", "later version"), (b"1", "earlier version")])
+def rewritten(path, change):
+    """Change what a file says of itself."""
+    with np.load(path) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    about = json.loads(arrays["about"].tobytes().decode())
+    change(about)
+    np.savez(path, **{**arrays, "about": np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)})
+
+
+@pytest.mark.parametrize(("version", "reason"), [(9, "later version"), (1, "earlier version")])
 def test_other_versions_are_refused(rng, tmp_path, version, reason):
     path = tmp_path / "a.npz"
     half(growth(SE2, 20, rng, others=False)).save(path)
-    with np.load(path) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    text = arrays["about"].tobytes().replace(b'"version": 2', b'"version": ' + version)
-    np.savez(path, **{**arrays, "about": np.frombuffer(text, dtype=np.uint8)})
+    rewritten(path, lambda about: about.update(version=version))
     with pytest.raises(FormatError, match=reason):
         ISAM2.load(path)
+
+
+def test_version_2_is_read_with_the_names_that_settings_had_then(rng, tmp_path):
+    path = tmp_path / "a.npz"
+    smoother = half(growth(SE2, 20, rng, others=False), ISAM2Settings(max_steps=77, max_relinearized=88))
+    smoother.save(path)
+
+    def as_then(about):
+        settings = about["settings"]
+        settings["most_steps"], settings["most_relinearized"] = (
+            settings.pop("max_steps"),
+            settings.pop("max_relinearized"),
+        )
+        about["version"] = 2
+
+    rewritten(path, as_then)
+    loaded = ISAM2.load(path)
+    assert loaded.settings == smoother.settings
+    assert state(loaded) == state(smoother)

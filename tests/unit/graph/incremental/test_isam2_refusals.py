@@ -19,7 +19,7 @@ from heliograph.graph import (
     Values,
 )
 from heliograph.lie import SE2, SE3
-from reference.growth import POINT, growth
+from reference.growth import POINT, cliques_of, growth
 
 EAGER = ISAM2Settings(relinearize_threshold=1e-4, wildfire=1e-6)
 NEW = 77_000
@@ -32,8 +32,8 @@ def bits(smoother):
     return (
         tree.linearization_point(numbers).tobytes(),
         tree.delta().tobytes(),
-        [array.tolist() for array in tree.clique_table()],
-        (tree.variables, tree.cliques, tree.factors, tree.pending),
+        cliques_of(tree),
+        (tree.variables, tree.cliques, tree.factors, tree.fluid),
         smoother.joint(keys[:5]).tobytes() if len(keys) > 4 else b"",
     )
 

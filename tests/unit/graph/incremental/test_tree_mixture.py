@@ -33,7 +33,7 @@ class Pair:
 
     def update(self, scopes, graph, values=None):
         of_full = self.full.update(graph, values).factors
-        of_kept = self.kept.update(graph, values, most_variables=self.most()).factors
+        of_kept = self.kept.update(graph, values, max_variables=self.most()).factors
         self.factors += [(f, k, s) for f, k, s in zip(of_full, of_kept, scopes, strict=True) if len(s) > 1]
 
     def grow(self):
@@ -54,7 +54,7 @@ class Pair:
         if self.factors:
             of_full, of_kept, _ = self.factors.pop(self.rng.integers(len(self.factors)))
             self.full.update(remove=[of_full])
-            self.kept.update(remove=[of_kept], most_variables=self.most())
+            self.kept.update(remove=[of_kept], max_variables=self.most())
 
     def marginalize(self):
         out = set(self.rng.choice(self.alive, self.rng.integers(1, 4), replace=False).tolist())
@@ -69,7 +69,7 @@ class Pair:
             self.kept.update(
                 graph_of(self.motion(-1, -2), self.motion(self.alive[0], self.alive[-1])),
                 values,
-                most_variables=self.most(),
+                max_variables=self.most(),
             )
 
     def check(self):

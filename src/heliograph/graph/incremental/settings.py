@@ -1,0 +1,47 @@
+"""When an incremental smoother relinearises, how far it carries steps, and how much it does in one update."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from heliograph.config_checks import check_range
+
+__all__ = ["ISAM2Settings"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ISAM2Settings:
+    """When an update relinearises, and how far steps are carried down the tree.
+
+    Parameters
+    ----------
+    relinearize_threshold : float
+        A variable is relinearised where an element of its step is longer [rad, m].
+    relinearize_skip : int
+        Relinearise only in every n-th update, n being this.
+    wildfire : float
+        Steps that change by no more than this are not carried on to what lies below [rad, m].
+    max_steps : int
+        Variables whose step is computed in one update. Beyond, whole branches of the tree are deferred: later updates
+        compute their steps, and a variable that is read has its step computed first. A loop over a drive of a million
+        poses moves all of them, and no update waits for that. Without limit where a threshold is zero, where
+        convergence is asked for, and in an update without factors.
+    max_relinearized : int
+        Variables that are relinearised in one update; the others wait. Later updates take up a 64th of this and of
+        `max_steps` each, gathered to quarters. Without limit where `max_steps` is.
+
+    Raises
+    ------
+    ConfigError
+        A value is out of its range.
+    """
+
+    relinearize_threshold: float = 0.1
+    relinearize_skip: int = 1
+    wildfire: float = 1e-3
+    max_steps: int = 10_000
+    max_relinearized: int = 10_000
+
+    def __post_init__(self) -> None:
+        check_range(self, "relinearize_threshold", "wildfire", low=0.0)
+        check_range(self, "relinearize_skip", "max_steps", "max_relinearized", low=1)

@@ -1,0 +1,129 @@
+"""What an update of an incremental smoother did."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph import _core
+
+__all__ = ["Tally", "UpdateResult"]
+
+Ints = NDArray[np.int32]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UpdateResult:
+    """What one update did.
+
+    Parameters
+    ----------
+    factors : (N,) int32
+        Numbers of the factors that were added, in the order of the graph's; by them they can be removed.
+    relinearized : int
+        Variables that were given a new linearisation point.
+    reeliminated : int
+        Variables that were eliminated again.
+    cliques : int
+        Cliques that were taken down.
+    linearized : int
+        Factors that were evaluated.
+    solved : int
+        Variables whose step was computed.
+    iterations : int
+        Passes: one; two where variables moved beyond the threshold and the first was cheap; more only where convergence
+        was asked for.
+    converged : bool
+        Nothing is pending or deferred, and no step is longer than the threshold that was asked for.
+    pending : int
+        What waits for a later update, where the work of this one was bounded: variables to be eliminated, else
+        variables to be relinearised, else `deferred`.
+    deferred : int
+        Branches of the tree whose steps are deferred, see `ISAM2Settings.max_steps`.
+    cost_before, cost_after : float or None
+        Cost of all factors, where asked for: before, at the old estimate and the new variables' start.
+    seconds : dict
+        By step: ``add``, ``relinearize``, ``detach``, ``reorder``, ``eliminate``, ``solve``.
+    """
+
+    factors: Ints
+    relinearized: int
+    reeliminated: int
+    cliques: int
+    linearized: int
+    solved: int
+    iterations: int
+    converged: bool
+    pending: int = 0
+    deferred: int = 0
+    cost_before: float | None = None
+    cost_after: float | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+class Tally:
+    """What an update has done so far, pass by pass, and the seconds that its steps took."""
+
+    __slots__ = (
+        "_last",
+        "cliques",
+        "iterations",
+        "linearized",
+        "reeliminated",
+        "relinearized",
+        "seconds",
+        "solved",
+        "work",
+    )
+
+    def __init__(self) -> None:
+        self.iterations = self.relinearized = self.reeliminated = self.cliques = self.linearized = self.solved = 0
+        self.work = 0.0  # multiplications of the last elimination
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, step: str) -> None:
+        """Give the time since the last lap to a step."""
+        now = time.perf_counter()
+        self.seconds[step] = self.seconds.get(step, 0.0) + now - self._last
+        self._last = now
+
+    def add(self, relinearized: int, counts: _core.TreeCounts) -> None:
+        """Add a pass."""
+        self.iterations += 1
+        self.relinearized += relinearized
+        self.reeliminated += counts.variables
+        self.cliques += counts.cliques
+        self.linearized += counts.linearized
+        self.solved += counts.solved
+        self.work = counts.work
+
+    def result(
+        self,
+        *,
+        factors: Ints,
+        converged: bool,
+        pending: int,
+        deferred: int,
+        cost_before: float | None,
+        cost_after: float | None,
+    ) -> UpdateResult:
+        """Return the record of the update."""
+        return UpdateResult(
+            relinearized=self.relinearized,
+            reeliminated=self.reeliminated,
+            cliques=self.cliques,
+            linearized=self.linearized,
+            solved=self.solved,
+            iterations=self.iterations,
+            seconds=self.seconds,
+            factors=factors,
+            converged=converged,
+            pending=pending,
+            deferred=deferred,
+            cost_before=cost_before,
+            cost_after=cost_after,
+        )
