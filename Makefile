@@ -6,9 +6,9 @@ STAMP := $(VENV)/.installed
 BUILD_TOOLS := "scikit-build-core>=1.1" "nanobind>=3.1,<4" "cmeel-eigen>=3.4,<4" "cmake>=3.20" ninja
 NATIVE := $(shell find cpp CMakeLists.txt pyproject.toml -type f)
 
-.PHONY: help env build demo test test-slow lint types rooms sanitize bench clean
+.PHONY: help env build demo test test-slow lint types rooms mutants sanitize bench clean
 help:
-	@echo "make demo | test | test-slow | lint | types | rooms | sanitize | bench | clean"
+	@echo "make demo | test | test-slow | lint | types | rooms | mutants | sanitize | bench | clean"
 
 $(VENV)/.tools:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Heliograph needs Python 3.10 or newer; set PYTHON=")'
@@ -37,6 +37,9 @@ lint: $(STAMP)
 
 types: $(STAMP)
 	$(BIN)/mypy
+
+mutants: $(STAMP)
+	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python -m tests.mutants
 
 rooms: $(STAMP)
 	$(BIN)/python -m tests.rooms
