@@ -1,7 +1,7 @@
 """Breaks the code on purpose and sees the tests fail: `make mutants`, from tests/mutants.toml.
 
-Each mutant is one replacement in one file of the source and the tests that must notice it. All of it happens in a copy of
-the working tree; a native mutant is built there. A mutant that lives is a test that cannot fail.
+Each mutant is one replacement in one file of the source and the tests that must notice it. All of it happens in a copy
+of the working tree; a native mutant is built there. A mutant that lives is a test that cannot fail.
 """
 
 from __future__ import annotations
@@ -102,9 +102,8 @@ def break_it(tree: Path, mutant: Mutant) -> None:
     path = tree / mutant.file
     text = path.read_text(encoding="utf-8")
     if text.count(mutant.find) != 1:
-        raise SystemExit(
-            f"mutant '{mutant.name}': its text stands {text.count(mutant.find)} times in {mutant.file}; mend {LIST.name}"
-        )
+        times = text.count(mutant.find)
+        raise SystemExit(f"mutant '{mutant.name}': its text stands {times} times in {mutant.file}; mend {LIST.name}")
     path.write_text(text.replace(mutant.find, mutant.replace), encoding="utf-8")
 
 
