@@ -16,7 +16,7 @@ from pathlib import Path
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "heliograph"
 
 # What everybody may import; `atomic`, `chi_square`, `plugins`, `config` and its helpers know only the errors.
-COMMON = {"atomic", "chi_square", "errors", "config", "config_checks", "config_toml", "plugins", "_core"}
+COMMON = {"arrays", "atomic", "chi_square", "errors", "config", "config_checks", "config_toml", "plugins", "_core"}
 SENSING = {"lie", "data"}
 ODOMETRY = SENSING | {"cloud", "imu", "maps", "registration"}
 ENGINE = {"lie", "graph"}
@@ -26,13 +26,14 @@ SLAM = ODOMETRY | FACTORS | {"odometry", "factors"}
 ALLOWED: dict[str, set[str]] = {
     "__init__": COMMON | SLAM | {"slam", "io", "metrics", "output", "pipeline"},
     "errors": set(),
+    "arrays": {"errors"},
     "atomic": {"errors"},
     "chi_square": {"errors"},
     "plugins": {"errors"},
     "config_checks": {"errors"},
     "config": {"errors", "config_checks"},
     "config_toml": {"errors", "config", "config_checks"},
-    "lie": {"errors", "config", "_core"},
+    "lie": {"arrays", "errors", "config", "_core"},
     "testing": COMMON | SENSING | {"maps", "registration", "odometry", "graph", "io", "output"},
     "data": COMMON | {"lie"},
     "cloud": COMMON | SENSING,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.calibration.states import CalibrationMotion, CalibrationState, LidarPoses, RigPrior
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
@@ -75,6 +76,9 @@ class Estimate:
     size: Array
     whitened: Array
     solution: Solution
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def estimate(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data import ImuBatch
 from heliograph.lie import so3
 
@@ -39,6 +40,9 @@ class Coarse:
     R_imu_lidar: Array
     gyro_bias: Array
     rms: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def align_turns(

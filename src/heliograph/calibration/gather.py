@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import RunConfig
 from heliograph.data import GnssFix, ImuBatch, Scan
 from heliograph.errors import DataError
@@ -40,6 +41,9 @@ class Evidence:
     scans: tuple[Scan, ...]
     imu: ImuBatch
     T_odom_lidar: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def ends_ns(self) -> NDArray[np.int64]:

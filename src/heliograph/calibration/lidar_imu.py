@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.calibration.batch import Estimate, sampled_at
 from heliograph.calibration.coarse import align_turns
 from heliograph.calibration.gather import Evidence, Message, gather, refined
@@ -108,6 +109,9 @@ class Calibration:
     converged: bool
     residual_rotation: float
     residual_position: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def covariance(self) -> Array:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan
 from heliograph.data.error_layout import LEVER_ARM, MOUNTING_ROTATION
@@ -62,6 +63,9 @@ class MountingAlignment:
     sigma_rotation: Array
     duration: float
     events: tuple[Event, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def align_mounting(

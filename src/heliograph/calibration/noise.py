@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import ImuConfig
 from heliograph.data import Event, ImuBatch, ImuNoise
 from heliograph.imu.allan import AllanCurve, allan_curve
@@ -82,6 +83,9 @@ class RestNoise:
     floor: Array
     floor_tau: Array
     stretches: tuple[tuple[int, float], ...]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import CalibrationConfig
 from heliograph.lie import so3
 
@@ -64,6 +65,9 @@ class Observed:
     directions: Array
     gains: Array
     kept: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def covariance(self) -> Array:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.calibration.plane_map import PlaneMap, turn_against
 from heliograph.calibration.states import CalibrationMotion, CalibrationState, LidarPoses
 from heliograph.cloud import deskew, range_gate, voxel_downsample
@@ -44,6 +45,9 @@ class LidarPath:
 
     stamps_ns: Stamps
     T_odom_lidar: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def around(self, begin_ns: int, middle_ns: int, end_ns: int) -> tuple[Stamps, Array, int]:
         """Return the part that covers an interval, with the middle among its stamps, and the middle's index."""
@@ -98,6 +102,9 @@ class _Swept:
     points: Points
     middle_ns: int
     T_odom_lidar: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 class Placer:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data import ImuClock
 
 __all__ = ["CalibrationMotion", "CalibrationState", "LidarPoses", "RigPrior"]
@@ -32,6 +33,9 @@ class CalibrationState:
     clock: ImuClock
     g_odom: Array
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigPrior:
@@ -49,6 +53,9 @@ class RigPrior:
     T_imu_lidar: Array
     clock: ImuClock
     information: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +75,9 @@ class LidarPoses:
     stamps_ns: Stamps
     T_odom_lidar: Array
     covariance: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -90,6 +100,9 @@ class CalibrationMotion:
     stamps_ns: Stamps
     X_odom_imu: Array
     bias: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -8,6 +8,7 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.checks.evidence import Evidence
 from heliograph.checks.fit import EXCLUSION_CHI_SQUARE, TurnFit, cross, fit_turns, nearest_orthogonal, without_mean_rate
 from heliograph.checks.windows import Forces, Turns, lever_arm
@@ -58,6 +59,9 @@ class Arrangement:
     """
 
     possible: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def as_expected(self) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.checks.windows import Turns
 
 __all__ = ["TurnFit", "bias_beside", "cross", "fit_turns", "nearest_orthogonal", "without_mean_rate"]
@@ -47,6 +48,9 @@ class TurnFit:
     sigma: float
     handed: float
     determined: bool
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def fit_turns(turns: Turns) -> TurnFit | None:

@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import frozen
 from heliograph.data import ImuRecord, Rig, Trajectory
-from heliograph.data.arrays import frozen
 from heliograph.errors import DataError
 
 __all__ = ["VERDICTS", "CheckReport", "CheckedMotion", "Finding", "ImuRecord", "Number", "worst"]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.checks.records import CheckedMotion, ImuRecord
 from heliograph.data import ImuBatch
 from heliograph.lie import interpolate_se3, se3, so3
@@ -53,6 +54,9 @@ class Turns:
     first: NDArray[np.int64]
     overlap: int
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Forces:
@@ -84,6 +88,9 @@ class Forces:
     half_span: Array
     first: NDArray[np.int64]
     overlap: int
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def imu_acceleration(self, p_lidar_imu: Array) -> Array:
         """Return the LiDAR's view of the IMU's acceleration, (N, 3) in odom, for the lever arm in the lidar frame."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.data.arrays import frozen
+from heliograph.arrays import frozen
 
 __all__ = ["GnssFix"]
 

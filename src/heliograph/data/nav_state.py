@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data.clock import ImuClock
 
 __all__ = ["NavState"]
@@ -50,6 +51,9 @@ class NavState:
     covariance: NDArray[np.float64]
     imu_offset: float = 0.0
     imu_drift: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def imu_clock(self) -> ImuClock:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
+
 __all__ = ["CALIBRATION_NAMES", "OnlineCalibration"]
 
 CALIBRATION_NAMES = (
@@ -54,6 +56,9 @@ class OnlineCalibration:
     gains: NDArray[np.float64]
     directions: NDArray[np.float64]
     kept: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def kept_names(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data.event import Event
 from heliograph.data.online_calibration import OnlineCalibration
 from heliograph.data.trajectory import Trajectory
@@ -112,6 +113,9 @@ class ScanResult:
     timings: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     calibration: OnlineCalibration | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def matched(self) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.data.arrays import frozen
+from heliograph.arrays import frozen
 from heliograph.data.clock import ImuClock
 
 __all__ = ["Rig"]

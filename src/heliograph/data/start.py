@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
+
 __all__ = ["StartAccount"]
 
 _UNKNOWN = float("nan")
@@ -66,3 +68,6 @@ class StartAccount:
     force_rms: NDArray[np.float64] = field(default_factory=_unknown)
     misfit: float = _UNKNOWN
     unobservable: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.chi_square import chi_square_quantile
 from heliograph.errors import DataError
 from heliograph.imu.stretches import Grid
@@ -44,6 +45,9 @@ class AllanCurve:
     terms: NDArray[np.int64]
     lengths: NDArray[np.int64]
     period: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def interval(self, noise: Sequence[str], channel: int, probability: float = _ONE_SIGMA_SHARE) -> Array:
         """Return the interval that holds the true deviation of a channel, (t, 2) [rad/s] or [m/s^2].

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
+
 __all__ = ["Bands", "band_spectrum"]
 
 Array = NDArray[np.float64]
@@ -50,6 +52,9 @@ class Bands:
     ramp: Array
     period: float
     lines: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def below(self, frequency: float) -> Bands:
         """Return the bands up to a frequency [Hz]."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data.error_layout import POSE, POSITION, ROTATION, VELOCITY
 from heliograph.imu.preintegration import Preintegration
 from heliograph.lie import s2, so3
@@ -54,6 +55,9 @@ class Chain:
     g: Array
     log_scale: float = 0.0
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
     def moved(self, nodes: Array, shared: Array) -> Chain:
         """Return the chain after a step of ``nodes`` (N + 1, 9) and ``shared`` (9,)."""
         magnitude = float(np.linalg.norm(self.g))
@@ -93,6 +97,9 @@ class ChainStep:
     information: Array
     velocity_covariance: Array
     cost: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def largest(self) -> float:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, Trajectory
 from heliograph.data.error_layout import ACCEL_BIAS, GYRO_BIAS
@@ -60,6 +61,9 @@ class ImuExcitation:
     turned: float
     rate_rms: Array
     force_rms: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,6 +120,9 @@ class MotionStart:
     verdict: str
     reason: str
     unobservable: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def gravity_sigma(self) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.imu.bands import Bands
 from heliograph.imu.noise_terms import TERMS, term_spectra
 
@@ -47,6 +48,9 @@ class Fit:
     ramp_sigma: float
     log_likelihood: float
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True)
 class _Point:
@@ -57,6 +61,9 @@ class _Point:
     information: Array
     ramp: float
     ramp_sigma: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def maximise(bands: Bands, names: Sequence[str], start: Fit | None = None, *, fixed: Array | None = None) -> Fit:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import DataError
@@ -37,6 +38,9 @@ class PositionStart:
     X_world_imu: ExtendedPose
     rotation_covariance: Array
     rms_m: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def start_from_positions(

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import DataError
@@ -88,8 +89,7 @@ class Preintegration:
     config: ImuConfig
 
     def __post_init__(self) -> None:
-        for name in _OF_EACH:
-            getattr(self, name).setflags(write=False)
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.start_ns)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState
 from heliograph.data.error_layout import CLOCK, DRIFT, NAV
@@ -39,6 +40,9 @@ class ImuPath:
     v_odom: NDArray[np.float64]
     held_s: float
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ErrorGrowth:
@@ -58,6 +62,9 @@ class ErrorGrowth:
     added: NDArray[np.float64]
     clock_shift: NDArray[np.float64] | None
     span: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def grown(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance (K, K) at the interval's end from that at its start.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import DataError
@@ -69,6 +70,9 @@ class StaticStart:
     period: float
     duration: float
     noise: ImuNoise
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def doubtful(self) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import DataError
@@ -58,6 +59,9 @@ class WhiteFloor:
     calm: float
     frequency: Array
     spectrum: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def noise_in_motion(imu: ImuBatch, config: ImuConfig) -> ImuNoise:
@@ -111,32 +115,21 @@ def white_floor(grid: Grid) -> WhiteFloor:
     power, freedom = _spectra(grid, size)
     frequency = np.arange(1, size // 2) / (size * grid.period)
     top = power[:, len(frequency) // 2 :].mean(axis=1)
-    result = WhiteFloor(
-        density=np.zeros(6),
-        sigma=np.zeros(6),
-        loud=np.zeros(6),
-        band=np.zeros((6, 2)),
-        flat=np.zeros(6, dtype=bool),
-        calm=1.0,
-        frequency=frequency,
-        spectrum=np.zeros((len(frequency), 6)),
-    )
-    shares = []
+    shares, floors = [], []
     for first in (0, 3):
         level = top[:, first : first + 3].sum(axis=1)
         calm = level <= _CALM_RATIO * np.quantile(level, 0.1)
         shares.append(float(calm.mean()))
-        for channel in range(first, first + 3):
-            _read_floor(result, channel, power[:, :, channel], calm, freedom)
+        floors += [_read_floor(frequency, power[:, :, k], calm, freedom) for k in range(first, first + 3)]
     return WhiteFloor(
-        density=result.density,
-        sigma=result.sigma,
-        loud=result.loud,
-        band=result.band,
-        flat=result.flat,
+        density=np.array([floor.density for floor in floors]),
+        sigma=np.array([floor.sigma for floor in floors]),
+        loud=np.array([floor.loud for floor in floors]),
+        band=np.array([floor.band for floor in floors]),
+        flat=np.array([floor.flat for floor in floors]),
         calm=min(shares),
         frequency=frequency,
-        spectrum=result.spectrum,
+        spectrum=np.stack([floor.spectrum for floor in floors], axis=1),
     )
 
 
@@ -169,8 +162,23 @@ def _spectra(grid: Grid, size: int) -> tuple[Array, float]:
     return np.stack(spectra), weight**2 / weight_squared
 
 
-def _read_floor(result: WhiteFloor, channel: int, power: Array, calm: NDArray[np.bool_], freedom: float) -> None:
-    """Fill in one channel's part of the result."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Floor:
+    """One channel's part of the result."""
+
+    density: float
+    sigma: float
+    loud: float
+    band: tuple[float, float]
+    flat: bool
+    spectrum: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def _read_floor(frequency: Array, power: Array, calm: NDArray[np.bool_], freedom: float) -> _Floor:
+    """Read one channel's floor from the power of its windows (windows, bins)."""
     bins = power.shape[1]
     edges = np.rint(np.linspace(0, bins, _BANDS + 1)).astype(np.int64)
     quiet = power[calm]
@@ -184,18 +192,20 @@ def _read_floor(result: WhiteFloor, channel: int, power: Array, calm: NDArray[np
     expected = 2.0 / (share * width)
     # Where the level wanders more from window to window than noise does, its mean is known that much worse.
     found = float(by_window.var()) / len(by_window) / max(level, _TINY) ** 2
-    result.density[channel] = np.sqrt(level)
-    result.sigma[channel] = 0.5 * np.sqrt(level) * np.sqrt(max(expected, found))
-    result.loud[channel] = np.sqrt(power[:, inside].mean())
-    step = result.frequency[0]
-    result.band[channel] = result.frequency[edges[first]] - 0.5 * step, result.frequency[edges[last] - 1] + 0.5 * step
+    step = frequency[0]
     # Any sampled spectrum levels off towards half the rate; a slope that is left shows that it comes from below.
     half = (edges[first] + edges[last]) // 2
     lower, upper = (quiet[:, part].mean() for part in (slice(edges[first], half), slice(half, edges[last])))
     slope = abs(float(np.log(max(lower, _TINY) / max(upper, _TINY))))
     level_off = slope <= _MAX_SLOPE + 3.0 * np.sqrt(4.0 * expected)
-    result.flat[channel] = last - first >= _FLAT_BANDS and level > 0.0 and level_off
-    result.spectrum[:, channel] = np.sqrt(quiet.mean(axis=0))
+    return _Floor(
+        density=float(np.sqrt(level)),
+        sigma=float(0.5 * np.sqrt(level) * np.sqrt(max(expected, found))),
+        loud=float(np.sqrt(power[:, inside].mean())),
+        band=(float(frequency[edges[first]] - 0.5 * step), float(frequency[edges[last] - 1] + 0.5 * step)),
+        flat=bool(last - first >= _FLAT_BANDS and level > 0.0 and level_off),
+        spectrum=np.sqrt(quiet.mean(axis=0)),
+    )
 
 
 def _floor_range(levels: Array, freedom: Array) -> tuple[int, int]:

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data import Event
 
 __all__ = ["RawCloud", "RawFix", "RawImu", "RawMessage", "RawSource", "RawTransform", "TopicInfo"]
@@ -29,6 +30,9 @@ class RawCloud:
     columns: Mapping[str, NDArray[np.generic]]
     layout: str = "PointCloud2"
     base_time_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +62,9 @@ class RawFix:
     covariance_enu: NDArray[np.float64] | None
     valid: bool
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawTransform:
@@ -69,6 +76,9 @@ class RawTransform:
     child: str
     T_parent_child: NDArray[np.float64]
     static: bool
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 RawMessage = RawCloud | RawImu | RawFix | RawTransform

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
-from heliograph.data.arrays import frozen
+from heliograph.arrays import frozen
 
 __all__ = ["GlobalMap", "MapCells"]
 

@@ -8,6 +8,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
+
 __all__ = ["NEIGHBOURS", "LocalMap", "PlaneMatches"]
 
 NEIGHBOURS = 255
@@ -34,6 +36,9 @@ class PlaneMatches:
     point: NDArray[np.float64]
     variance: NDArray[np.float32]
     source: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @runtime_checkable

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data import Trajectory
 from heliograph.errors import ConfigError, DataError, closest
 from heliograph.lie import interpolate_se3, se3, so3
@@ -62,6 +63,9 @@ class Association:
     T_reference: Array
     distance: Array
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
@@ -92,6 +96,9 @@ class AbsoluteError:
     rotation_rmse_deg: float
     T_reference_estimate: Array
     errors: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.output.scan_log import ScanTable
 from heliograph.output.summary import RunSummary
 
@@ -48,3 +49,6 @@ class RunRecord:
     intensity: NDArray[np.float32] | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
     config: str = ""
+
+    def __post_init__(self) -> None:
+        freeze(self)

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import frozen
 from heliograph.atomic import output_error, output_errors
-from heliograph.data.arrays import frozen
 from heliograph.errors import FormatError
 from heliograph.maps import MapCells
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data import Event, ScanResult, StartAccount
 from heliograph.output.final_poses import FinalPoses
 
@@ -91,6 +92,9 @@ class RunSummary:
     final_poses: FinalPoses | None = None
     start: StartAccount | None = None
     failure: str = ""
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def final(self) -> FinalPoses:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.registration.linearize import NormalEquations
 
 __all__ = ["Observability", "observability"]
@@ -30,6 +31,9 @@ class Observability:
     translation: NDArray[np.float64]
     rotation_directions: NDArray[np.float64]
     translation_directions: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def weak_direction(self) -> NDArray[np.float64]:

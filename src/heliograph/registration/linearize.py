@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.errors import ConfigError
 from heliograph.maps import NEIGHBOURS, LocalMap, PlaneMatches, VoxelMap
 
@@ -70,6 +71,9 @@ class MapMounting:
     T_imu_lidar: NDArray[np.float64]
     T_odom_imu_first: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NormalEquations:
@@ -103,6 +107,9 @@ class NormalEquations:
     matches: int
     fallback_matches: int
     queries: int
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def rms(self) -> float:
@@ -218,6 +225,9 @@ class _Matches:
     w: NDArray[np.float64]
     inv_var: NDArray[np.float64]
     source: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def _matched(

@@ -10,6 +10,7 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.report.svg import Axis, polyline, text
 
 __all__ = ["Curve", "Guide", "loglog_svg"]
@@ -62,6 +63,9 @@ class Curve:
     low: Array | None = None
     high: Array | None = None
     dashed: bool = False
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

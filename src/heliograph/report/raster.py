@@ -13,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.report.colors import GROUND, scale
 
 __all__ = ["Raster", "View", "color_image", "render", "side_view", "top_view"]
@@ -47,6 +48,9 @@ class View:
     pixel: float
     labels: tuple[str, str]
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the picture."""
@@ -73,6 +77,9 @@ class Raster:
 
     nearest: NDArray[np.int32]
     shade: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def top_view(points: NDArray[np.float32], path: NDArray[np.float64], *, max_width: int = _MAX_WIDTH) -> View:

@@ -10,6 +10,8 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
+
 __all__ = ["Axis", "Line", "Span", "line_chart", "nice_ticks", "number", "polyline", "round_length", "text"]
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 12, 36
@@ -23,6 +25,9 @@ class Line:
     color: int = 1
     label: str = ""
     sigma: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

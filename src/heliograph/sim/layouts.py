@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.errors import ConfigError, closest
 from heliograph.sim.simulate import Sweep
 
@@ -45,6 +46,9 @@ class PackedCloud:
     width: int
     points: NDArray[np.void]
     is_dense: bool
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,6 +112,9 @@ class _Fired:
     intensity: NDArray[np.float32]
     ring: NDArray[np.int64]
     offsets_ns: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @classmethod
     def of(cls, sweep: Sweep, *, lost: bool = False) -> _Fired:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.sim.world import Returns
 
 __all__ = ["GnssModel", "ImuErrors", "ImuModel", "LidarModel", "measure_ranges"]
@@ -147,6 +148,9 @@ class ImuErrors:
     accel_bias: NDArray[np.float64]
     gyro_noise: NDArray[np.float64]
     accel_noise: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @classmethod
     def draw(cls, model: ImuModel, count: int, rng: np.random.Generator) -> ImuErrors:

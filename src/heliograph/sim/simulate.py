@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data import GnssFix, ImuBatch, ImuClock, ImuNoise, Rig, Scan
 from heliograph.lie import se3, so3
 from heliograph.sim.geodesy import enu_to_geodetic
@@ -41,6 +42,9 @@ class SimulatedMounting:
 
     R_body_imu: NDArray[np.float64]
     T_body_lidar: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def T_imu_lidar(self) -> NDArray[np.float64]:
@@ -127,6 +131,9 @@ class Sweep:
     ranges: NDArray[np.float32]
     intensity: NDArray[np.float32]
     offsets_ns: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def scan(self, *, point_times: bool = True) -> Scan:
         """Return the sweep as the readers would give it: valid points only, row by row."""

@@ -8,6 +8,7 @@ from math import comb, factorial
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.errors import DataError
 from heliograph.lie import so3
 
@@ -154,6 +155,9 @@ class Course:
     corner: float
     closed: bool = True
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
     def sample(self, spacing: float) -> tuple[Array, float]:
         """Return points and unwrapped headings (M, 4) at equal distances near ``spacing``, and that distance."""
         dense, heading = self._round_corners()
@@ -201,6 +205,9 @@ class SimulatedMotion:
     v_world: Array
     a_world: Array
     omega_body: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def T_world_body(self) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
-from heliograph.data.arrays import frozen
+from heliograph.arrays import freeze, frozen
 from heliograph.errors import DataError
 
 __all__ = ["PRIMITIVE_COLUMNS", "SHAPES", "Returns", "SimulatedWorld", "Surface", "box", "cylinder", "rectangle"]
@@ -128,6 +128,9 @@ class Returns:
     range: NDArray[np.float64]
     brightness: NDArray[np.float32]
     primitive: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 class SimulatedWorld:

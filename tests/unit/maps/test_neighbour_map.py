@@ -1,5 +1,7 @@
 """A user's own map obeys the same law, and the law catches maps that do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,8 +38,7 @@ class ForgetsAll(NeighbourMap):
 class LongNormals(NeighbourMap):
     def planes_at(self, points_odom, *, gate):
         found = super().planes_at(points_odom, gate=gate)
-        found.normal[:] *= 1.1
-        return found
+        return replace(found, normal=1.1 * found.normal)
 
 
 class ChokesOnNan(NeighbourMap):
@@ -53,8 +54,7 @@ class NothingIsNew(NeighbourMap):
 class SidewaysPoints(NeighbourMap):
     def planes_at(self, points_odom, *, gate):
         found = super().planes_at(points_odom, gate=gate)
-        found.point[:] += 0.05
-        return found
+        return replace(found, point=found.point + 0.05)
 
 
 @pytest.mark.parametrize(

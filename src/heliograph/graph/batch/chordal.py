@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.graph.model.families import FAMILIES, Family, vectors
 from heliograph.graph.model.noise import FULL, Whitening
 from heliograph.graph.model.values import Values
@@ -46,6 +47,9 @@ class _Measured:
     variables: Indices
     value: Array
     root: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def part(self, mask: Mask) -> _Measured:
         if mask.all():
@@ -182,6 +186,9 @@ class _Turned:
     free: Indices
     moved: Mask
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 def _rotations(
     groups: Sequence[ResolvedGroup],
@@ -251,6 +258,9 @@ class _Scene:
     is_held: Mask
     order: Indices | None
     threads: int
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def _renumbered(order: Indices | None, parts: Sequence[tuple[int, Indices]]) -> Indices | None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import freeze
 from heliograph.chi_square import chi_square_quantile
 from heliograph.config_checks import check_choice, check_range
 from heliograph.errors import GraphError
@@ -109,6 +110,9 @@ class RobustSolution:
     rounds: int
     iterations: int
     start: str
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def solve_robust(

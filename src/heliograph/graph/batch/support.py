@@ -18,6 +18,8 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
+
 __all__ = ["Stretch", "agreeing"]
 
 Array = NDArray[np.float64]
@@ -44,6 +46,9 @@ class Stretch:
     j: Indices
     T_i_j: Array
     information: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def agreeing(
@@ -100,6 +105,9 @@ class _Near:
     offset: Indices
     node: Indices
     hops: Indices
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def _neighbours(n: int, i: Indices, j: Indices, roots: Indices, hops: int) -> _Near:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.graph.diagnosis.world_motions import WorldMotions, describe_motions, world_motions
 from heliograph.graph.model.families import Family
 from heliograph.lie import S2, SO2, SO3
@@ -56,6 +57,9 @@ class FreeMotion:
     component: int
     remedy: str
     each: bool = False
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def text(self) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.graph.model.families import Family
 from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose
 from heliograph.lie import s2 as s2_ops
@@ -48,6 +49,9 @@ class WorldMotions:
     centre: Array
     extent: float
     extra: int = 0
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def space_of(families: Sequence[Family]) -> int:

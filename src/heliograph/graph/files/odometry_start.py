@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.errors import DataError
 from heliograph.lie import SE2, SE3
 
@@ -36,6 +37,9 @@ class SpanningStart:
     matrices: NDArray[np.float64]
     root: Ints
     parent: Ints
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def distinct(ids: Ints) -> Ints:

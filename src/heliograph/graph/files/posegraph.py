@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.graph.files.odometry_start import distinct, odometry_start
 from heliograph.graph.files.row_kinds import KINDS, Role, numbers_of
 from heliograph.graph.files.tables import Table
@@ -50,6 +51,9 @@ class PoseGraphFile:
     fixed: Ints
     fixed_line: Ints
     others: tuple[tuple[int, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @staticmethod
     def of(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.errors import FormatError
 from heliograph.graph.files.row_kinds import KINDS, RowKind, matrices_of, numbers_of
 
@@ -52,9 +53,8 @@ class Table:
 
     def __post_init__(self) -> None:
         for name in ("ids", "numbers", "information", "parameter", "line"):
-            array = np.ascontiguousarray(getattr(self, name)).view()
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.ids)

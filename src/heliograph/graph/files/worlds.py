@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.errors import ConfigError
 from heliograph.graph.files.posegraph import PoseGraphFile
 from heliograph.lie import SE2, SE3, se2, se3, so2, so3
@@ -45,6 +46,9 @@ class World:
     T_i_j: SE2 | SE3
     information: Array
     false: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @cached_property
     def file(self) -> PoseGraphFile:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 
 __all__ = ["Tally", "UpdateResult"]
 
@@ -62,6 +63,9 @@ class UpdateResult:
     cost_before: float | None = None
     cost_after: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 class Tally:

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import freeze
 from heliograph.errors import GraphError
 
 __all__ = [
@@ -56,6 +57,9 @@ class Whitening:
     shared: bool
     sqrt_information: Array
     constrained: bool = False
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def _name(index: int) -> str:

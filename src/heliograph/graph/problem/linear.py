@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph import _core
 from heliograph._core import GraphProblem
+from heliograph.arrays import freeze
 from heliograph.graph.model.noise import FULL, SCALAR, Information
 from heliograph.graph.problem.settings import ORDERINGS
 
@@ -45,6 +46,9 @@ class Differences:
     columns: int
     weight: Array
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Anchors:
@@ -63,6 +67,9 @@ class Anchors:
     at: Indices
     value: Array
     weight: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def connected(count: int, i: Indices, j: Indices) -> Indices:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.errors import GraphError
 
 __all__ = ["Fill", "Pattern", "minimum_degree", "nested_dissection"]
@@ -36,6 +37,9 @@ class Fill:
     parent: NDArray[np.int32]
     column_counts: NDArray[np.int64]
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pattern:
@@ -54,6 +58,9 @@ class Pattern:
     offset: NDArray[np.int64]
     neighbour: NDArray[np.int32]
     weight: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @classmethod
     def from_edges(cls, edges: ArrayLike, weight: ArrayLike) -> Pattern:

@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.errors import GraphError
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import Added, FactorGraph
@@ -62,6 +63,9 @@ class ResolvedGroup:
     kernel: Kernel | None
     custom: type[Factor] | None
     data: tuple[Array, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def kernel_code(self) -> int:

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze, frozen
 from heliograph.atomic import atomic_path
-from heliograph.data.arrays import frozen
 from heliograph.errors import FormatError, OutputError
 from heliograph.io.files.las import write_las
 from heliograph.io.files.pcd import read_pcd, write_pcd
@@ -44,6 +44,9 @@ class CloudFile:
     points: NDArray[np.float32]
     intensity: NDArray[np.float32] | None = None
     columns: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def __len__(self) -> int:
         return len(self.points)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.errors import FormatError
 from heliograph.io.files.stamps import UNITS, is_number, parse_stamps
 
@@ -43,6 +44,9 @@ class ImuTable:
     accel: NDArray[np.float64]
     evidence: str
     bad_rows: int
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

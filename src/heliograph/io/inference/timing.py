@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import InputConfig
 from heliograph.data import Event
 from heliograph.errors import ConfigError, DataError, closest
@@ -42,6 +43,9 @@ class _Spans:
     first: NDArray[np.float64]
     last: NDArray[np.float64]
     stamps_ns: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 @TOLERANT

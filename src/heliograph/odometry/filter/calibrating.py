@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import FilterConfig
 from heliograph.data import NavState, OnlineCalibration, Rig
 from heliograph.data.error_layout import (
@@ -64,6 +65,9 @@ class CalibrationTerms:
     mounted: MapMounting | None = None
     rate_change: Array | None = None
     considered: Array | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def motion(self) -> bool:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import FilterConfig
 from heliograph.data import NavState, OnlineCalibration
 from heliograph.data.error_layout import CALIBRATION, CLOCK, DRIFT, MOUNTING
@@ -43,6 +44,9 @@ class CalibrationGate:
     covariance: Array
     prior_sigma: Array
     gain: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @classmethod
     def at_start(cls, state: NavState, config: FilterConfig) -> CalibrationGate:

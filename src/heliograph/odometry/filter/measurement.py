@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.data.error_layout import CLOCK, GYRO_BIAS, MOUNTING, POSE, VELOCITY
 from heliograph.registration import NormalEquations
 
@@ -38,6 +39,9 @@ class ScanMeasurement:
     information: Array
     gradient: Array
     sums: NormalEquations
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @classmethod
     def of(cls, sums: NormalEquations) -> ScanMeasurement:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import FilterConfig, RunConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState, Rig, Scan, ScanResult, Trajectory
 from heliograph.data.error_layout import (
@@ -30,7 +31,16 @@ from heliograph.odometry.filter.core import FilterCore
 from heliograph.odometry.filter.motion import MotionModel
 from heliograph.odometry.sequencer import Packet
 
-__all__ = ["NO_IMU", "OpeningMotion", "blank_state", "find_motion", "lidar_only", "scans_of", "set_block"]
+__all__ = [
+    "NO_IMU",
+    "OpeningMotion",
+    "blank_state",
+    "find_motion",
+    "lidar_only",
+    "scans_of",
+    "with_block",
+    "with_sigma",
+]
 
 Array = NDArray[np.float64]
 
@@ -60,6 +70,9 @@ class OpeningMotion:
     mean_rate: Array
     R_first_imu: Array
     stamps_ns: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def speed(self) -> float:
@@ -92,9 +105,16 @@ def blank_state(stamp_ns: int, rig: Rig) -> NavState:
     )
 
 
-def set_block(state: NavState, block: slice, sigma: float) -> None:
-    """Give three errors of a state that is still being made one sigma."""
-    state.covariance[block, block] = sigma**2 * np.eye(3)
+def with_block(state: NavState, block: slice, values: Array) -> NavState:
+    """Return the state with other covariances (k, k) of a block of its errors among themselves."""
+    covariance = state.covariance.copy()
+    covariance[block, block] = values
+    return replace(state, covariance=covariance)
+
+
+def with_sigma(state: NavState, block: slice, sigma: float) -> NavState:
+    """Return the state with one sigma for three of its errors, uncorrelated among themselves."""
+    return with_block(state, block, sigma**2 * np.eye(3))
 
 
 def constant_velocity_state(stamp_ns: int, v: Array, rate: Array, rig: Rig, config: FilterConfig) -> NavState:
@@ -102,8 +122,8 @@ def constant_velocity_state(stamp_ns: int, v: Array, rate: Array, rig: Rig, conf
     # See MotionModel: the imaginary gyroscope's bias is minus the body rate. The mounting is unobservable without an
     # IMU.
     state = blank_state(stamp_ns, replace(rig, known=True))
-    set_block(state, VELOCITY, config.unknown_speed)
-    set_block(state, GYRO_BIAS, config.unknown_rate)
+    state = with_sigma(state, VELOCITY, config.unknown_speed)
+    state = with_sigma(state, GYRO_BIAS, config.unknown_rate)
     return replace(state, v_odom=v, gyro_bias=-rate)
 
 
@@ -185,6 +205,9 @@ class _Followed:
     covariance: Array
     share: float
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 def find_motion(
     packets: Sequence[Packet],
@@ -258,7 +281,7 @@ def _led_by_gyro(
 ) -> Iterator[tuple[NavState, ImuBatch]]:
     """Yield states and samples for the real gyroscope beside an accelerometer that reads zero without gravity."""
     state, lead = blank_state(first.stamp_ns, replace(rig, known=True)), replace(imu, accel=np.zeros_like(imu.accel))
-    set_block(state, VELOCITY, config.unknown_speed)
+    state = with_sigma(state, VELOCITY, config.unknown_speed)
     yield state, lead
     if moved is not None and moved.speed > _FAST_SPEED:
         yield replace(state, v_odom=moved.v_imu), lead
@@ -266,7 +289,7 @@ def _led_by_gyro(
 
 def _led_by_imu(first: Scan, found: MotionStart, imu: ImuBatch, rig: Rig) -> tuple[NavState, ImuBatch]:
     state = blank_state(first.stamp_ns, replace(rig, known=True))
-    set_block(state, VELOCITY, _ALIGNED_SPEED_SIGMA)
+    state = with_sigma(state, VELOCITY, _ALIGNED_SPEED_SIGMA)
     return replace(
         state,
         R_odom_imu=found.R_odom_imu[0],

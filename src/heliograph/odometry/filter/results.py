@@ -8,6 +8,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import FilterConfig
 from heliograph.data import Event, NavState, Scan, ScanResult, ScanStatus, Trajectory
 from heliograph.data.error_layout import POSITION
@@ -45,6 +46,9 @@ class ScanOutcome:
     intensity: NDArray[np.float32] | None
     fit: FilterUpdate[ScanMeasurement] | None
     queries: int
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def scan_result(

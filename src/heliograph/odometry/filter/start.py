@@ -33,7 +33,8 @@ from heliograph.odometry.filter.opening import (
     find_motion,
     lidar_only,
     scans_of,
-    set_block,
+    with_block,
+    with_sigma,
 )
 from heliograph.odometry.sequencer import Packet
 
@@ -269,7 +270,7 @@ def _with_gravity(state: NavState, up_odom: Array, up_sigma: float, config: RunC
     gain = prior @ H.T @ np.linalg.inv(H @ prior @ H.T + up_sigma**2 * np.eye(3))
     bias_and_tilt = gain @ (up_odom + g * direction)
     posterior = (np.eye(5) - gain @ H) @ prior
-    state.covariance[_LEANING, _LEANING] = 0.5 * (posterior + posterior.T)
+    state = with_block(state, _LEANING, 0.5 * (posterior + posterior.T))
     return replace(state, accel_bias=bias_and_tilt[:3], g_odom=g * s2.retract(direction, bias_and_tilt[3:]))
 
 
@@ -280,8 +281,8 @@ def _static_state(begin_ns: int, rest: StaticStart, rig: Rig, config: RunConfig)
         gyro_bias=rest.gyro_mean,
     )
     sigma = np.sqrt(np.diag(rest.covariance))
-    set_block(state, VELOCITY, _REST_SPEED_SIGMA)
-    set_block(state, GYRO_BIAS, float(np.hypot(sigma[:3].max(), _REST_RATE_FLOOR)))
+    state = with_sigma(state, VELOCITY, _REST_SPEED_SIGMA)
+    state = with_sigma(state, GYRO_BIAS, float(np.hypot(sigma[:3].max(), _REST_RATE_FLOOR)))
     up_sigma = float(np.hypot(sigma[3:].max(), _REST_UP_FLOOR))
     return _with_gravity(state, state.R_odom_imu @ rest.accel_mean, up_sigma, config)
 
@@ -306,8 +307,8 @@ def _aligned_state(found: MotionStart, rig: Rig, config: RunConfig) -> NavState:
     )
     if not rig.known:
         # An alignment with a mounting that is still a guess is as wrong as the guess: only its mean is used.
-        set_block(state, VELOCITY, _MOVING_SPEED_SIGMA)
-        set_block(state, GYRO_BIAS, min(_MOVING_RATE_SIGMA, config.imu.gyro_bias_sigma))
+        state = with_sigma(state, VELOCITY, _MOVING_SPEED_SIGMA)
+        state = with_sigma(state, GYRO_BIAS, min(_MOVING_RATE_SIGMA, config.imu.gyro_bias_sigma))
         return _with_gravity(state, -g * down + R @ found.accel_bias, _MOVING_UP_SIGMA, config)
     J = np.zeros((NAV_DIM, NAV_DIM))
     J[VELOCITY, ROTATION], J[VELOCITY, VELOCITY] = R @ so3.hat(v_imu), R @ R0.T
@@ -316,8 +317,7 @@ def _aligned_state(found: MotionStart, rig: Rig, config: RunConfig) -> NavState:
     J[GRAVITY, ROTATION] = tangent @ so3.hat(down_imu)
     J[GRAVITY, GRAVITY] = tangent @ R0.T @ s2.basis(found.g_odom / g)
     covariance = J[_FREE] @ _covariance_for_filter(found, config) @ J[_FREE].T
-    state.covariance[_FREE, _FREE] = 0.5 * (covariance + covariance.T)
-    return state
+    return with_block(state, _FREE, 0.5 * (covariance + covariance.T))
 
 
 def _covariance_for_filter(found: MotionStart, config: RunConfig) -> Array:
@@ -347,8 +347,8 @@ def _rough_state(
         v, v_sigma = moved.v_imu, _MOVING_SPEED_SIGMA
     R = so3.from_two_vectors(up, np.array([0.0, 0.0, 1.0]))
     state = replace(blank_state(begin_ns, rig), R_odom_imu=R, v_odom=R @ v, gyro_bias=bias)
-    set_block(state, VELOCITY, v_sigma)
-    set_block(state, GYRO_BIAS, bias_sigma)
+    state = with_sigma(state, VELOCITY, v_sigma)
+    state = with_sigma(state, GYRO_BIAS, bias_sigma)
     return _with_gravity(state, R @ up, up_sigma, config)
 
 

@@ -1,0 +1,238 @@
+"""Arrays at the boundary: their types, the checks of what comes from outside, and the freezing of records.
+
+What a caller hands in is checked once, where it comes in; what does not fit is a `DataError` that names the argument,
+what it was and what was wanted. Loops inside, which hold checked arrays, call the kernels themselves.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, ClassVar, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from heliograph.errors import DataError
+
+__all__ = [
+    "Array",
+    "Flags",
+    "Indices",
+    "Points",
+    "Shape",
+    "Stamps",
+    "as_array",
+    "as_batch",
+    "as_points",
+    "as_pose",
+    "broadcast",
+    "freeze",
+    "frozen",
+    "require_finite",
+]
+
+Array: TypeAlias = NDArray[np.float64]
+Points: TypeAlias = NDArray[np.float32]
+"""(N, 3), C-contiguous [m]."""
+Stamps: TypeAlias = NDArray[np.int64]
+"""(N,) [ns]."""
+Indices: TypeAlias = NDArray[np.int64]
+Flags: TypeAlias = NDArray[np.bool_]
+Shape: TypeAlias = tuple[int | None, ...]
+"""Required shape of an array; None leaves a length free."""
+
+_FLOAT32, _FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
+
+
+def _wanted(shape: Shape) -> str:
+    lengths = ["N" if n is None else str(n) for n in shape]
+    return "(" + ", ".join(lengths) + ("," if len(lengths) == 1 else "") + ")"
+
+
+def _array_of(name: str, value: ArrayLike | None, wanted: str) -> NDArray[Any]:
+    """Return the argument as an array of real numbers or truth values, if it is one."""
+    try:
+        array: NDArray[Any] = np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{name} is a {type(value).__name__} that makes no array ({error}); give {wanted}") from error
+    if array.dtype.kind not in "fiub":
+        raise DataError(f"{name} has dtype {array.dtype}, expected {wanted}; convert it explicitly")
+    return array
+
+
+def as_array(name: str, value: ArrayLike | None, dtype: DTypeLike, shape: Shape) -> NDArray[Any]:
+    """Return a C-contiguous array of exactly this dtype and shape; the argument itself where it is one.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name, for the message.
+    value : array_like
+        Already of the right dtype: a silent conversion would hide a wrong unit or lose digits, so it is an error.
+    dtype : dtype
+        Required dtype, in the machine's byte order.
+    shape : tuple
+        Required shape; None leaves a length free.
+
+    Raises
+    ------
+    DataError
+        Another dtype or shape, or no array at all.
+    """
+    dtype = np.dtype(dtype)
+    wanted = f"{_wanted(shape)} {dtype}"
+    array = value if type(value) is np.ndarray else _array_of(name, value, wanted)
+    if array.dtype != dtype:
+        raise DataError(f"{name} has dtype {array.dtype}, expected {wanted}; convert it explicitly")
+    if array.ndim != len(shape) or any(
+        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
+    ):
+        raise DataError(f"{name} has shape {array.shape}, expected {wanted}")
+    return array if array.flags.c_contiguous and array.flags.aligned else np.array(array, order="C")
+
+
+def as_points(name: str, value: ArrayLike | None) -> Points:
+    """Return a cloud, (N, 3) float32 and C-contiguous; the argument itself where it is one.
+
+    Coordinates may be NaN or infinite, as drivers mark pulses without a return: each function says what it does then.
+
+    Raises
+    ------
+    DataError
+        Another dtype or shape, or no array at all.
+    """
+    if (
+        type(value) is np.ndarray
+        and value.dtype is _FLOAT32
+        and value.ndim == 2
+        and value.shape[1] == 3
+        and value.flags.c_contiguous
+    ):
+        return value
+    return as_array(name, value, _FLOAT32, (None, 3))
+
+
+def as_pose(name: str, value: ArrayLike | None) -> Array:
+    """Return a finite motion, (4, 4) float64 and C-contiguous; the argument itself where it is one.
+
+    Raises
+    ------
+    DataError
+        Another dtype or shape, numbers that are not finite, or no array at all.
+    """
+    if not (
+        type(value) is np.ndarray and value.dtype is _FLOAT64 and value.shape == (4, 4) and value.flags.c_contiguous
+    ):
+        value = as_array(name, value, _FLOAT64, (4, 4))
+    return require_finite(name, value)
+
+
+def as_batch(name: str, value: ArrayLike | None, tail: tuple[int, ...]) -> Array:
+    """Return real numbers (..., *tail) as float64: one element or a batch of them.
+
+    Integers and other floats are converted, so that ``so3.exp([0, 0, 1])`` works. Numbers that are not finite pass: the
+    element that they stand in is then not finite either, and its neighbours are as if alone.
+
+    Raises
+    ------
+    DataError
+        Another shape, or no array of real numbers.
+    """
+    if type(value) is np.ndarray and value.dtype is _FLOAT64 and value.shape[-len(tail) :] == tail:
+        return value
+    wanted = f"real numbers (..., {', '.join(map(str, tail))})"
+    array = _array_of(name, value, wanted)
+    if array.dtype.kind == "b":
+        raise DataError(f"{name} has dtype {array.dtype}, expected {wanted}; convert it explicitly")
+    if array.shape[-len(tail) :] != tail:
+        raise DataError(f"{name} has shape {array.shape}, expected {wanted}")
+    return np.asarray(array, dtype=np.float64)
+
+
+def broadcast(names: str, *batches: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the common shape of batches that belong together.
+
+    Parameters
+    ----------
+    names : str
+        The arguments' names, for the message.
+    *batches : tuple
+        Leading shapes.
+
+    Raises
+    ------
+    DataError
+        They do not broadcast.
+    """
+    first = batches[0]
+    if all(batch == first for batch in batches):
+        return first
+    try:
+        return np.broadcast_shapes(*batches)
+    except ValueError:
+        raise DataError(
+            f"the batches of {names} have shapes {', '.join(map(str, batches))}; they must broadcast"
+        ) from None
+
+
+def require_finite(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array, or raise `DataError` that counts its NaN and infinities."""
+    # One dot product is a fifth of the price of isfinite; squares that overflow are looked at again.
+    if not (array.dtype.kind == "f" and math.isfinite(np.vdot(array, array))) and not np.isfinite(array).all():
+        count = int(np.count_nonzero(~np.isfinite(array)))
+        raise DataError(f"{name} holds {count} values that are not finite, expected none of its {array.size}")
+    return array
+
+
+def frozen(name: str, value: ArrayLike, dtype: DTypeLike, shape: Shape, *, finite: bool = False) -> NDArray[Any]:
+    """Return a read-only C-contiguous view of ``value``, or raise `DataError` if it is not what the record promises.
+
+    Parameters
+    ----------
+    name : str
+        The field's name, for the message.
+    value : array_like
+        Already of the right dtype: a silent conversion would hide a wrong unit, so it is an error.
+    dtype : dtype
+        Required dtype.
+    shape : tuple
+        Required shape; None leaves a length free.
+    finite : bool
+        Refuse NaN and infinity.
+    """
+    array = as_array(name, value, dtype, shape)
+    if finite:
+        require_finite(name, array)
+    return _read_only(array)
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+class _Record(Protocol):
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+
+def freeze(record: _Record) -> None:
+    """Make every array of a frozen record read-only; those in its tuples and mappings too.
+
+    A record's ``__post_init__`` calls it. The field becomes a view: nothing is copied, and whoever made the array may
+    still write to the one that he holds, which is why makers whose array lives on hand in a copy.
+    """
+    for name in record.__dataclass_fields__:
+        value = getattr(record, name)
+        if type(value) is np.ndarray:
+            if value.flags.writeable:
+                object.__setattr__(record, name, _read_only(value))
+        elif type(value) is tuple:
+            if any(type(item) is np.ndarray and item.flags.writeable for item in value):
+                object.__setattr__(record, name, tuple(map(_read_only_item, value)))
+        elif type(value) is dict and any(type(item) is np.ndarray for item in value.values()):
+            object.__setattr__(record, name, {key: _read_only_item(item) for key, item in value.items()})
+
+
+def _read_only_item(item: object) -> object:
+    return _read_only(item) if type(item) is np.ndarray else item
