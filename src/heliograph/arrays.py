@@ -23,11 +23,15 @@ __all__ = [
     "Stamps",
     "as_array",
     "as_batch",
+    "as_numbers",
     "as_points",
     "as_pose",
+    "as_real",
+    "as_stamps",
     "broadcast",
     "freeze",
     "frozen",
+    "match",
     "require_finite",
 ]
 
@@ -41,12 +45,19 @@ Flags: TypeAlias = NDArray[np.bool_]
 Shape: TypeAlias = tuple[int | None, ...]
 """Required shape of an array; None leaves a length free."""
 
+_ARRAY, _put = np.ndarray, object.__setattr__
 _FLOAT32, _FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
 
 
 def _wanted(shape: Shape) -> str:
     lengths = ["N" if n is None else str(n) for n in shape]
     return "(" + ", ".join(lengths) + ("," if len(lengths) == 1 else "") + ")"
+
+
+def _fits(got: tuple[int, ...], shape: Shape) -> bool:
+    if len(got) != len(shape):
+        return False
+    return all(want is None or want == length for want, length in zip(shape, got, strict=True))
 
 
 def _array_of(name: str, value: ArrayLike | None, wanted: str) -> NDArray[Any]:
@@ -80,15 +91,13 @@ def as_array(name: str, value: ArrayLike | None, dtype: DTypeLike, shape: Shape)
         Another dtype or shape, or no array at all.
     """
     dtype = np.dtype(dtype)
-    wanted = f"{_wanted(shape)} {dtype}"
-    array = value if type(value) is np.ndarray else _array_of(name, value, wanted)
+    array = value if type(value) is _ARRAY else _array_of(name, value, f"{_wanted(shape)} {dtype}")
     if array.dtype != dtype:
-        raise DataError(f"{name} has dtype {array.dtype}, expected {wanted}; convert it explicitly")
-    if array.ndim != len(shape) or any(
-        want is not None and want != got for want, got in zip(shape, array.shape, strict=True)
-    ):
-        raise DataError(f"{name} has shape {array.shape}, expected {wanted}")
-    return array if array.flags.c_contiguous and array.flags.aligned else np.array(array, order="C")
+        raise DataError(f"{name} has dtype {array.dtype}, expected {_wanted(shape)} {dtype}; convert it explicitly")
+    if array.shape != shape and not _fits(array.shape, shape):
+        raise DataError(f"{name} has shape {array.shape}, expected {_wanted(shape)} {dtype}")
+    flags = array.flags
+    return array if flags.c_contiguous and flags.aligned else np.array(array, order="C")
 
 
 def as_points(name: str, value: ArrayLike | None) -> Points:
@@ -102,7 +111,7 @@ def as_points(name: str, value: ArrayLike | None) -> Points:
         Another dtype or shape, or no array at all.
     """
     if (
-        type(value) is np.ndarray
+        type(value) is _ARRAY
         and value.dtype is _FLOAT32
         and value.ndim == 2
         and value.shape[1] == 3
@@ -120,9 +129,7 @@ def as_pose(name: str, value: ArrayLike | None) -> Array:
     DataError
         Another dtype or shape, numbers that are not finite, or no array at all.
     """
-    if not (
-        type(value) is np.ndarray and value.dtype is _FLOAT64 and value.shape == (4, 4) and value.flags.c_contiguous
-    ):
+    if not (type(value) is _ARRAY and value.dtype is _FLOAT64 and value.shape == (4, 4) and value.flags.c_contiguous):
         value = as_array(name, value, _FLOAT64, (4, 4))
     return require_finite(name, value)
 
@@ -138,14 +145,29 @@ def as_batch(name: str, value: ArrayLike | None, tail: tuple[int, ...]) -> Array
     DataError
         Another shape, or no array of real numbers.
     """
-    if type(value) is np.ndarray and value.dtype is _FLOAT64 and value.shape[-len(tail) :] == tail:
+    if type(value) is _ARRAY and value.dtype is _FLOAT64 and value.shape[-len(tail) :] == tail:
         return value
     wanted = f"real numbers (..., {', '.join(map(str, tail))})"
+    array = _numbers(name, value, wanted)
+    if array.shape[-len(tail) :] != tail:
+        raise DataError(f"{name} has shape {array.shape}, expected {wanted}")
+    return array
+
+
+def as_numbers(name: str, value: ArrayLike | None) -> Array:
+    """Return real numbers of any shape as float64; see `as_batch`."""
+    return _numbers(name, value, "real numbers")
+
+
+def as_real(name: str, value: ArrayLike | None) -> NDArray[Any]:
+    """Return real numbers of any shape in their own dtype; see `as_batch`."""
+    return _array_of(name, value, "real numbers")
+
+
+def _numbers(name: str, value: ArrayLike | None, wanted: str) -> Array:
     array = _array_of(name, value, wanted)
     if array.dtype.kind == "b":
         raise DataError(f"{name} has dtype {array.dtype}, expected {wanted}; convert it explicitly")
-    if array.shape[-len(tail) :] != tail:
-        raise DataError(f"{name} has shape {array.shape}, expected {wanted}")
     return np.asarray(array, dtype=np.float64)
 
 
@@ -164,9 +186,8 @@ def broadcast(names: str, *batches: tuple[int, ...]) -> tuple[int, ...]:
     DataError
         They do not broadcast.
     """
-    first = batches[0]
-    if all(batch == first for batch in batches):
-        return first
+    if batches[0] == batches[-1] and len(set(batches)) == 1:
+        return batches[0]
     try:
         return np.broadcast_shapes(*batches)
     except ValueError:
@@ -175,10 +196,31 @@ def broadcast(names: str, *batches: tuple[int, ...]) -> tuple[int, ...]:
         ) from None
 
 
-def require_finite(name: str, array: NDArray[Any]) -> NDArray[Any]:
+def match(names: str, first: tuple[int, ...], second: tuple[int, ...]) -> None:
+    """Raise `DataError` if two shapes do not broadcast; of matrices of one size the whole shapes may be given."""
+    if first != second:
+        broadcast(names, first, second)
+
+
+def as_stamps(name: str, value: ArrayLike | None) -> Stamps:
+    """Return times in whole nanoseconds as int64, of any shape; integers of other widths are converted.
+
+    Raises
+    ------
+    DataError
+        Floats, which hold no date to the nanosecond, or no array of integers.
+    """
+    wanted = "whole nanoseconds, int64"
+    array = _array_of(name, value, wanted)
+    if array.dtype.kind not in "iu" and array.size > 0:
+        raise DataError(f"{name} has dtype {array.dtype}, expected {wanted}; convert it explicitly")
+    return np.asarray(array, dtype=np.int64)
+
+
+def require_finite(name: str, array: Array) -> Array:
     """Return the array, or raise `DataError` that counts its NaN and infinities."""
     # One dot product is a fifth of the price of isfinite; squares that overflow are looked at again.
-    if not (array.dtype.kind == "f" and math.isfinite(np.vdot(array, array))) and not np.isfinite(array).all():
+    if not math.isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
         count = int(np.count_nonzero(~np.isfinite(array)))
         raise DataError(f"{name} holds {count} values that are not finite, expected none of its {array.size}")
     return array
@@ -207,8 +249,8 @@ def frozen(name: str, value: ArrayLike, dtype: DTypeLike, shape: Shape, *, finit
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    view = array.view()
-    view.flags.writeable = False
+    view: NDArray[Any] = array.view()
+    view.setflags(False)  # by position: three times as quick as by name
     return view
 
 
@@ -224,14 +266,15 @@ def freeze(record: _Record) -> None:
     """
     for name in record.__dataclass_fields__:
         value = getattr(record, name)
-        if type(value) is np.ndarray:
+        kind = type(value)
+        if kind is _ARRAY:
             if value.flags.writeable:
-                object.__setattr__(record, name, _read_only(value))
-        elif type(value) is tuple:
-            if any(type(item) is np.ndarray and item.flags.writeable for item in value):
-                object.__setattr__(record, name, tuple(map(_read_only_item, value)))
-        elif type(value) is dict and any(type(item) is np.ndarray for item in value.values()):
-            object.__setattr__(record, name, {key: _read_only_item(item) for key, item in value.items()})
+                _put(record, name, _read_only(value))
+        elif kind is tuple:
+            if any(type(item) is _ARRAY for item in value):
+                _put(record, name, tuple(map(_read_only_item, value)))
+        elif kind is dict and any(type(item) is _ARRAY for item in value.values()):
+            _put(record, name, {key: _read_only_item(item) for key, item in value.items()})
 
 
 def _read_only_item(item: object) -> object:

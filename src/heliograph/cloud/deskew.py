@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import as_array, as_points, as_pose, require_finite
 from heliograph.errors import DataError
 
 __all__ = ["deskew"]
@@ -28,7 +29,7 @@ def deskew(
     Parameters
     ----------
     points : (N, 3) float32
-        In the lidar frame, each at its own time [m].
+        In the lidar frame, each at its own time [m]. A point that is not finite stays so.
     offsets_ns : (N,) int32
         Time of each point since ``stamp_ns`` [ns].
     stamp_ns : int
@@ -52,17 +53,26 @@ def deskew(
     Raises
     ------
     DataError
-        An empty path, or lengths that differ.
+        An array of another dtype or shape, an empty path or one that is not finite, lengths that differ, or a
+        reference outside the path.
     """
+    points = as_points("points", points)
+    offsets_ns = as_array("offsets_ns", offsets_ns, np.int32, (None,))
+    path_stamps_ns = as_array("path_stamps_ns", path_stamps_ns, np.int64, (None,))
+    R_odom_body = require_finite("R_odom_body", as_array("R_odom_body", R_odom_body, np.float64, (None, 3, 3)))
+    p_odom = require_finite("p_odom", as_array("p_odom", p_odom, np.float64, (None, 3)))
+    T_body_lidar = as_pose("T_body_lidar", T_body_lidar)
     if len(path_stamps_ns) == 0 or len(R_odom_body) != len(path_stamps_ns) or len(p_odom) != len(path_stamps_ns):
         raise DataError(
             f"{len(path_stamps_ns)} stamps, {len(R_odom_body)} rotations, {len(p_odom)} positions; need one each"
         )
     if len(points) != len(offsets_ns):
         raise DataError(f"{len(points)} points but {len(offsets_ns)} time offsets")
+    if not -len(p_odom) <= reference < len(p_odom):
+        raise DataError(f"reference {reference} is no index into a path of {len(p_odom)} poses")
     R_ref = R_odom_body[reference]
     # Relative to the reference in double, so that single precision is enough inside the sweep.
     R = np.ascontiguousarray(R_ref.T @ R_odom_body)
     p = np.ascontiguousarray((p_odom - p_odom[reference]) @ R_ref)
     times = np.ascontiguousarray(path_stamps_ns - stamp_ns, dtype=np.int64)
-    return np.asarray(_core.deskew(points, offsets_ns, times, R, p, np.ascontiguousarray(T_body_lidar), threads))
+    return np.asarray(_core.deskew(points, offsets_ns, times, R, p, T_body_lidar, threads))

@@ -38,8 +38,9 @@ class ImuBatch:
     frame_id: str = "imu"
 
     def __post_init__(self) -> None:
-        n = len(self.stamps_ns)
-        object.__setattr__(self, "stamps_ns", frozen("stamps_ns", self.stamps_ns, np.int64, (None,)))
+        stamps = frozen("stamps_ns", self.stamps_ns, np.int64, (None,))
+        n = len(stamps)
+        object.__setattr__(self, "stamps_ns", stamps)
         object.__setattr__(self, "gyro", frozen("gyro", self.gyro, np.float64, (n, 3), finite=True))
         object.__setattr__(self, "accel", frozen("accel", self.accel, np.float64, (n, 3), finite=True))
 

@@ -52,8 +52,9 @@ class Scan:
     has_point_times: bool = True
 
     def __post_init__(self) -> None:
-        n = len(self.points)
-        object.__setattr__(self, "points", frozen("points", self.points, np.float32, (None, 3)))
+        points = frozen("points", self.points, np.float32, (None, 3))
+        n = len(points)
+        object.__setattr__(self, "points", points)
         object.__setattr__(self, "offsets_ns", frozen("offsets_ns", self.offsets_ns, np.int32, (n,)))
         if self.intensity is not None:
             object.__setattr__(self, "intensity", frozen("intensity", self.intensity, np.float32, (n,)))

@@ -35,8 +35,9 @@ class Trajectory:
     body: str = "imu"
 
     def __post_init__(self) -> None:
-        n = len(self.stamps_ns)
-        object.__setattr__(self, "stamps_ns", frozen("stamps_ns", self.stamps_ns, np.int64, (None,)))
+        stamps = frozen("stamps_ns", self.stamps_ns, np.int64, (None,))
+        n = len(stamps)
+        object.__setattr__(self, "stamps_ns", stamps)
         value = frozen("T_frame_body", self.T_frame_body, np.float64, (n, 4, 4), finite=True)
         object.__setattr__(self, "T_frame_body", value)
         if n > 1 and int(np.diff(self.stamps_ns).min()) < 0:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
+
+from heliograph.arrays import Array
 
 __all__ = ["each", "each_pair"]
-
-Array = NDArray[np.float64]
 
 
 def each(function: Callable[[Array, Array], None], x: Array, core: int, tail: tuple[int, ...]) -> Array:

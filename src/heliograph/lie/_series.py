@@ -31,7 +31,10 @@ def _evaluate(
     theta2: Angle, series: Sequence[float], closed: Callable[[Any, Any], Any], limit: float = _LIMIT
 ) -> Angle:
     if isinstance(theta2, float):
-        return _horner(series, theta2) if theta2 < limit else closed(math.sqrt(theta2), math)
+        if theta2 < limit:
+            return _horner(series, theta2)
+        # The sine of infinity is an error in `math`, and not a number in NumPy.
+        return closed(math.sqrt(theta2), math) if theta2 < math.inf else math.nan
     small = theta2 < limit
     near = _horner(series, np.minimum(theta2, limit))
     if small.all():

@@ -8,19 +8,13 @@ from typing import Any, ClassVar, TypeVar, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import Array, as_batch, freeze, match
 from heliograph.errors import DataError
 from heliograph.lie import s2, se2, se3, se23, so2, so3
 
 __all__ = ["S2", "SE2", "SE3", "SO2", "SO3", "ExtendedPose", "MatrixGroup"]
 
-Array = NDArray[np.float64]
 Self = TypeVar("Self", bound="MatrixGroup")
-
-
-def _read_only(value: ArrayLike) -> Array:
-    array = np.array(value, dtype=np.float64)
-    array.flags.writeable = False
-    return array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,12 +36,9 @@ class MatrixGroup:
     space: ClassVar[int]  # dimension of the points it acts on; 0: it acts on none
 
     def __post_init__(self) -> None:
-        value = _read_only(self.matrix)
-        if value.shape[-2:] != (self.size, self.size):
-            raise DataError(
-                f"{type(self).__name__} needs (..., {self.size}, {self.size}) matrices, got shape {value.shape}"
-            )
-        object.__setattr__(self, "matrix", value)
+        value = as_batch(f"the matrix of {type(self).__name__}", self.matrix, (self.size, self.size))
+        object.__setattr__(self, "matrix", value.copy())
+        freeze(self)
 
     @classmethod
     def identity(cls: type[Self], batch: tuple[int, ...] = ()) -> Self:
@@ -98,15 +89,15 @@ class MatrixGroup:
         if isinstance(other, MatrixGroup):
             if type(other) is not type(self):
                 return NotImplemented
+            match("both elements", self.matrix.shape, other.matrix.shape)
             return type(self)(self.matrix @ other.matrix)
-        points = np.asarray(other)
         if self.space == 0:
             raise DataError(f"{type(self).__name__} does not act on points; use its rotation and position")
-        if points.shape[-1:] != (self.space,):
-            raise DataError(f"{type(self).__name__} acts on points (..., {self.space}), got shape {points.shape}")
-        return self._act(points)
+        return self._act(as_batch(f"an array of points for {type(self).__name__}", other, (self.space,)))
 
-    def _act(self, points: NDArray[Any]) -> Array:
+    def _act(self, points: Array) -> Array:
+        if self.matrix.ndim > 2:
+            match("rotations and points", self.matrix.shape[:-2], points.shape[:-1])
         return np.asarray((self.matrix @ points[..., None])[..., 0], dtype=np.float64)
 
     def __getitem__(self: Self, index: int | slice | NDArray[Any]) -> Self:
@@ -171,7 +162,7 @@ class _Rigid(MatrixGroup):
         """The translation, (..., space) [m]."""
         return self.matrix[..., :-1, -1]
 
-    def _act(self, points: NDArray[Any]) -> Array:
+    def _act(self, points: Array) -> Array:
         return np.asarray(self.ops.act(self.matrix, points), dtype=np.float64)
 
 
@@ -246,11 +237,13 @@ class S2:
     dof: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        value = np.array(self.vector, dtype=np.float64)
+        value = as_batch("the vector of S2", self.vector, (3,))
         lengths = np.linalg.norm(value, axis=-1)
-        if value.shape[-1:] != (3,) or not np.all((lengths > 0.0) & np.isfinite(lengths)):
-            raise DataError(f"a direction needs non-zero finite vectors (..., 3), got shape {value.shape}")
-        object.__setattr__(self, "vector", _read_only(value / lengths[..., None]))
+        if not np.all((lengths > 0.0) & np.isfinite(lengths)):
+            bad = int(np.count_nonzero(~((lengths > 0.0) & np.isfinite(lengths))))
+            raise DataError(f"{bad} of {lengths.size} directions are zero or not finite; give non-zero vectors")
+        object.__setattr__(self, "vector", value / lengths[..., None])
+        freeze(self)
 
     def basis(self) -> Array:
         """Return the basis of the tangent plane, (..., 3, 2)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import as_batch, as_stamps
 from heliograph.errors import DataError
 from heliograph.lie import se3
 
@@ -39,10 +40,12 @@ def interpolate_se3(
     Raises
     ------
     DataError
-        No poses, lengths that differ, or (without `extrapolate`) a query outside the stamps.
+        Arrays of another kind, no poses, lengths that differ, or (without `extrapolate`) a query outside the stamps.
     """
-    stamps, query = np.asarray(stamps_ns, dtype=np.int64), np.asarray(query_ns, dtype=np.int64)
-    poses = np.asarray(T_frame_body, dtype=np.float64)
+    stamps, query = as_stamps("stamps_ns", stamps_ns), as_stamps("query_ns", query_ns)
+    poses = as_batch("T_frame_body", T_frame_body, (4, 4))
+    if stamps.ndim != 1:
+        raise DataError(f"stamps_ns has shape {stamps.shape}, expected (N,)")
     if len(stamps) == 0 or poses.shape != (len(stamps), 4, 4):
         raise DataError(
             f"{len(stamps)} stamps with poses of shape {poses.shape}; give one (4, 4) pose a stamp, and at least one"

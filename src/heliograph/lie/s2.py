@@ -7,13 +7,13 @@ the great circle.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from heliograph.arrays import Array, as_batch, match
 from heliograph.lie import _series
 
 __all__ = ["basis", "local", "project", "retract", "retract_jacobian"]
 
-Array = NDArray[np.float64]
 
 # No basis is smooth on the whole sphere. This one is where gravity lives: the seam is at 60 degrees above the horizon.
 _SEAM = 0.866
@@ -21,7 +21,7 @@ _SEAM = 0.866
 
 def project(v: ArrayLike) -> Array:
     """Return unit vectors along ``v``, (..., 3)."""
-    x = np.asarray(v, dtype=np.float64)
+    x = as_batch("v", v, (3,))
     return np.asarray(x / np.linalg.norm(x, axis=-1, keepdims=True), dtype=np.float64)
 
 
@@ -31,7 +31,7 @@ def basis(x: ArrayLike) -> Array:
     The columns and ``x`` form a right-handed frame. A fixed smooth function of ``x`` for every direction up to 60
     degrees above the horizon (T. Duff et al., "Building an orthonormal basis, revisited", JCGT 2017, seam moved there).
     """
-    v = np.asarray(x, dtype=np.float64)
+    v = as_batch("x", x, (3,))
     nx, ny, nz = v[..., 0], v[..., 1], v[..., 2]
     s = np.where(nz > _SEAM, 1.0, -1.0)
     a = -1.0 / (s + nz)
@@ -43,7 +43,8 @@ def basis(x: ArrayLike) -> Array:
 
 def retract(x: ArrayLike, d: ArrayLike) -> Array:
     """Return the direction reached from ``x`` along ``basis(x) @ d`` by the angle ``|d|``, (..., 3)."""
-    v, d = np.asarray(x, dtype=np.float64), np.asarray(d, dtype=np.float64)
+    v, d = as_batch("x", x, (3,)), as_batch("d", d, (2,))
+    match("x and d", v.shape[:-1], d.shape[:-1])
     step = (basis(v) @ d[..., None])[..., 0]
     theta2 = np.asarray(np.einsum("...i,...i->...", d, d))
     y = np.cos(np.sqrt(theta2))[..., None] * v + _series.sinc(theta2)[..., None] * step
@@ -56,7 +57,8 @@ def local(x: ArrayLike, y: ArrayLike) -> Array:
 
     For opposite directions it lies along the first basis vector.
     """
-    v, w = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    v, w = as_batch("x", x, (3,)), as_batch("y", y, (3,))
+    match("x and y", v.shape, w.shape)
     tangent = (np.swapaxes(basis(v), -1, -2) @ w[..., None])[..., 0]
     sine = np.linalg.norm(tangent, axis=-1)
     angle = np.arctan2(sine, np.einsum("...i,...i->...", v, w))
@@ -67,7 +69,8 @@ def local(x: ArrayLike, y: ArrayLike) -> Array:
 
 def retract_jacobian(x: ArrayLike, d: ArrayLike) -> Array:
     """Return the derivative of ``retract(x, d)`` by ``d``, (..., 3, 2); at ``d = 0`` it is `basis`."""
-    v, d = np.asarray(x, dtype=np.float64), np.asarray(d, dtype=np.float64)
+    v, d = as_batch("x", x, (3,)), as_batch("d", d, (2,))
+    match("x and d", v.shape[:-1], d.shape[:-1])
     B = basis(v)
     step = (B @ d[..., None])[..., 0]
     theta2 = np.asarray(np.einsum("...i,...i->...", d, d))

@@ -12,9 +12,10 @@ References
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from heliograph import _core
+from heliograph.arrays import Array, as_batch, broadcast, match
 from heliograph.lie import _batch, _series, so2
 
 __all__ = [
@@ -33,8 +34,6 @@ __all__ = [
     "right_jacobian_inverse",
 ]
 
-Array = NDArray[np.float64]
-
 
 def identity(batch: tuple[int, ...] = ()) -> Array:
     """Return identity motions, (*batch, 3, 3)."""
@@ -43,17 +42,22 @@ def identity(batch: tuple[int, ...] = ()) -> Array:
 
 def from_rotation_translation(R: ArrayLike, t: ArrayLike) -> Array:
     """Return motions from rotations (..., 2, 2) and translations (..., 2) [m], broadcast."""
-    r, v = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)
-    out = np.zeros((*np.broadcast_shapes(r.shape[:-2], v.shape[:-1]), 3, 3))
-    out[..., :2, :2] = r
-    out[..., :2, 2] = v
+    r, v = as_batch("R", R, (2, 2)), as_batch("t", t, (2,))
+    batch = broadcast("R and t", r.shape[:-2], v.shape[:-1])
+    return _from_parts(r, v, batch)
+
+
+def _from_parts(R: Array, t: Array, batch: tuple[int, ...]) -> Array:
+    out = np.zeros((*batch, 3, 3))
+    out[..., :2, :2] = R
+    out[..., :2, 2] = t
     out[..., 2, 2] = 1.0
     return out
 
 
 def hat(xi: ArrayLike) -> Array:
     """Return the 3x3 matrix of a tangent vector, (..., 3, 3) from (..., 3)."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (3,))
     out = np.zeros((*v.shape[:-1], 3, 3))
     out[..., :2, :2] = so2.hat(v[..., :1])
     out[..., :2, 2] = v[..., 1:]
@@ -67,18 +71,18 @@ def _scaled_rotation(cosine: Array, sine: Array) -> Array:
 
 def exp(xi: ArrayLike) -> Array:
     """Return the motion of a constant twist over unit time, (..., 3, 3) from (..., 3) ([1]_ eq. 156)."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (3,))
     if v.ndim > 1:
         return _batch.each(_core.se2_exp, v, 1, (3, 3))
     theta = v[..., 0]
     theta2 = np.asarray(theta * theta)
     V = _scaled_rotation(_series.sinc(theta2), theta * _series.versine(theta2))
-    return from_rotation_translation(so2.exp(v[..., :1]), (V @ v[..., 1:, None])[..., 0])
+    return _from_parts(so2.exp(v[..., :1]), (V @ v[..., 1:, None])[..., 0], ())
 
 
 def log(T: ArrayLike) -> Array:
     """Return the tangent vector with an angle in [-pi, pi], (..., 3) from (..., 3, 3) ([1]_ eq. 157)."""
-    m = np.asarray(T, dtype=np.float64)
+    m = as_batch("T", T, (3, 3))
     if m.ndim > 2:
         return _batch.each(_core.se2_log, m, 2, (3,))
     theta = so2.log(m[..., :2, :2])[..., 0]
@@ -94,7 +98,9 @@ def _inverse_arc(theta: Array) -> Array:
 
 def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> Array:
     """Return ``T_a_c = T_a_b @ T_b_c``."""
-    a, b = np.asarray(T_a_b, dtype=np.float64), np.asarray(T_b_c, dtype=np.float64)
+    a, b = as_batch("T_a_b", T_a_b, (3, 3)), as_batch("T_b_c", T_b_c, (3, 3))
+    if a.shape != b.shape:
+        match("T_a_b and T_b_c", a.shape, b.shape)
     if a.ndim > 2 and a.shape == b.shape:
         return _batch.each_pair(_core.se2_compose, a, b)
     return np.asarray(a @ b)
@@ -102,18 +108,19 @@ def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> Array:
 
 def inverse(T: ArrayLike) -> Array:
     """Return ``T_b_a`` from ``T_a_b``, (..., 3, 3)."""
-    m = np.asarray(T, dtype=np.float64)
+    m = as_batch("T", T, (3, 3))
     if m.ndim > 2:
         return _batch.each(_core.se2_inverse, m, 2, (3, 3))
     R_b_a = np.swapaxes(m[..., :2, :2], -1, -2)
-    return from_rotation_translation(R_b_a, -(R_b_a @ m[..., :2, 2:])[..., 0])
+    return _from_parts(R_b_a, -(R_b_a @ m[..., :2, 2:])[..., 0], m.shape[:-2])
 
 
 def act(T: ArrayLike, points: ArrayLike) -> Array:
     """Return ``p_a = T_a_b @ p_b`` for points (..., 2); one motion acts on all, a batch element by element."""
-    m, p = np.asarray(T, dtype=np.float64), np.asarray(points)
+    m, p = as_batch("T", T, (3, 3)), as_batch("points", points, (2,))
     if m.ndim == 2:
         return np.asarray(p @ m[:2, :2].T + m[:2, 2], dtype=np.float64)
+    match("T and points", m.shape[:-2], p.shape[:-1])
     return np.asarray((m[..., :2, :2] @ p[..., None])[..., 0] + m[..., :2, 2], dtype=np.float64)
 
 
@@ -128,7 +135,7 @@ def _assemble(coupling: Array, block: Array) -> Array:
 
 def adjoint(T: ArrayLike) -> Array:
     """Return Ad with ``T exp(d) = exp(Ad d) T``, (..., 3, 3), rotation first ([1]_ eq. 159)."""
-    m = np.asarray(T, dtype=np.float64)
+    m = as_batch("T", T, (3, 3))
     if m.ndim > 2:
         return _batch.each(_core.se2_adjoint, m, 2, (3, 3))
     return _assemble(np.stack([m[..., 1, 2], -m[..., 0, 2]], axis=-1), m[..., :2, :2])
@@ -136,7 +143,7 @@ def adjoint(T: ArrayLike) -> Array:
 
 def _right_parts(xi: ArrayLike) -> tuple[Array, Array, Array]:
     """Return theta, the coupling column (..., 2) and the translation block (..., 2, 2) of the right Jacobian."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (3,))
     theta, x, y = v[..., 0], v[..., 1], v[..., 2]
     theta2 = np.asarray(theta * theta)
     b, c = _series.versine(theta2), theta * _series.cubic_defect(theta2)
@@ -146,7 +153,7 @@ def _right_parts(xi: ArrayLike) -> tuple[Array, Array, Array]:
 
 def right_jacobian(xi: ArrayLike) -> Array:
     """Return Jr with ``exp(xi + d) = exp(xi) exp(Jr d)`` to first order, (..., 3, 3) ([1]_ eq. 163)."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (3,))
     if v.ndim > 1:
         return _batch.each(_core.se2_right_jacobian, v, 1, (3, 3))
     _, coupling, block = _right_parts(v)
@@ -155,7 +162,7 @@ def right_jacobian(xi: ArrayLike) -> Array:
 
 def right_jacobian_inverse(xi: ArrayLike) -> Array:
     """Return the inverse of `right_jacobian`, (..., 3, 3); singular at a full turn."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (3,))
     if v.ndim > 1:
         return _batch.each(_core.se2_right_jacobian_inverse, v, 1, (3, 3))
     theta, coupling, _ = _right_parts(v)
@@ -165,9 +172,9 @@ def right_jacobian_inverse(xi: ArrayLike) -> Array:
 
 def retract(T: ArrayLike, d: ArrayLike) -> Array:
     """Return ``T @ exp(d)``."""
-    return compose(T, exp(d))
+    return compose(as_batch("T", T, (3, 3)), exp(as_batch("d", d, (3,))))
 
 
 def local(T_a: ArrayLike, T_b: ArrayLike) -> Array:
     """Return the d with ``retract(T_a, d) = T_b``, (..., 3)."""
-    return log(compose(inverse(T_a), T_b))
+    return log(compose(inverse(as_batch("T_a", T_a, (3, 3))), as_batch("T_b", T_b, (3, 3))))

@@ -14,8 +14,9 @@ References
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from heliograph.arrays import Array, as_batch, broadcast, match
 from heliograph.lie import se3, so3
 
 __all__ = [
@@ -32,8 +33,6 @@ __all__ = [
     "right_jacobian",
     "right_jacobian_inverse",
 ]
-
-Array = NDArray[np.float64]
 
 
 def identity(batch: tuple[int, ...] = ()) -> Array:
@@ -52,8 +51,10 @@ def _assemble(R: Array, columns: Array) -> Array:
 
 def from_rotation_position_velocity(R: ArrayLike, p: ArrayLike, v: ArrayLike) -> Array:
     """Return elements from rotations (..., 3, 3), positions (..., 3) [m] and velocities (..., 3) [m/s], broadcast."""
-    position, velocity = np.broadcast_arrays(np.asarray(p, dtype=np.float64), np.asarray(v, dtype=np.float64))
-    return _assemble(np.asarray(R, dtype=np.float64), np.stack([position, velocity], axis=-1))
+    r, position, velocity = as_batch("R", R, (3, 3)), as_batch("p", p, (3,)), as_batch("v", v, (3,))
+    broadcast("R, p and v", r.shape[:-2], position.shape[:-1], velocity.shape[:-1])
+    position, velocity = np.broadcast_arrays(position, velocity)
+    return _assemble(r, np.stack([position, velocity], axis=-1))
 
 
 def _columns(v: Array) -> Array:
@@ -63,7 +64,7 @@ def _columns(v: Array) -> Array:
 
 def hat(xi: ArrayLike) -> Array:
     """Return the 5x5 matrix of a tangent vector, (..., 5, 5) from (..., 9)."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (9,))
     out = np.zeros((*v.shape[:-1], 5, 5))
     out[..., :3, :3] = so3.hat(v[..., :3])
     out[..., :3, 3:] = _columns(v)
@@ -72,13 +73,13 @@ def hat(xi: ArrayLike) -> Array:
 
 def exp(xi: ArrayLike) -> Array:
     """Return the element of a tangent vector, (..., 5, 5) from (..., 9)."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (9,))
     return _assemble(so3.exp(v[..., :3]), so3.left_jacobian(v[..., :3]) @ _columns(v))
 
 
 def log(X: ArrayLike) -> Array:
     """Return the tangent vector with a rotation of length in [0, pi], (..., 9) from (..., 5, 5)."""
-    m = np.asarray(X, dtype=np.float64)
+    m = as_batch("X", X, (5, 5))
     phi = so3.log(m[..., :3, :3])
     rho = so3.left_jacobian_inverse(phi) @ m[..., :3, 3:]
     return np.concatenate([phi, rho[..., 0], rho[..., 1]], axis=-1)
@@ -86,12 +87,14 @@ def log(X: ArrayLike) -> Array:
 
 def compose(X_a_b: ArrayLike, X_b_c: ArrayLike) -> Array:
     """Return ``X_a_b @ X_b_c``."""
-    return np.asarray(np.asarray(X_a_b, dtype=np.float64) @ np.asarray(X_b_c, dtype=np.float64))
+    a, b = as_batch("X_a_b", X_a_b, (5, 5)), as_batch("X_b_c", X_b_c, (5, 5))
+    match("X_a_b and X_b_c", a.shape, b.shape)
+    return np.asarray(a @ b)
 
 
 def inverse(X: ArrayLike) -> Array:
     """Return the inverses, (..., 5, 5)."""
-    m = np.asarray(X, dtype=np.float64)
+    m = as_batch("X", X, (5, 5))
     transposed = np.swapaxes(m[..., :3, :3], -1, -2)
     return _assemble(transposed, -(transposed @ m[..., :3, 3:]))
 
@@ -108,7 +111,7 @@ def _block_lower(rotation: Array, position: Array, velocity: Array) -> Array:
 
 def adjoint(X: ArrayLike) -> Array:
     """Return Ad with ``X exp(d) = exp(Ad d) X``, (..., 9, 9), rotation first."""
-    m = np.asarray(X, dtype=np.float64)
+    m = as_batch("X", X, (5, 5))
     R = m[..., :3, :3]
     return _block_lower(R, so3.hat(m[..., :3, 3]) @ R, so3.hat(m[..., :3, 4]) @ R)
 
@@ -118,7 +121,7 @@ def right_jacobian(xi: ArrayLike) -> Array:
 
     Position and velocity each couple to the rotation as the translation of SE(3) does, and not to each other.
     """
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (9,))
     with_position = se3.right_jacobian(v[..., :6])
     with_velocity = se3.right_jacobian(np.concatenate([v[..., :3], v[..., 6:]], axis=-1))
     return _block_lower(with_position[..., :3, :3], with_position[..., 3:, :3], with_velocity[..., 3:, :3])
@@ -126,7 +129,7 @@ def right_jacobian(xi: ArrayLike) -> Array:
 
 def right_jacobian_inverse(xi: ArrayLike) -> Array:
     """Return the inverse of `right_jacobian`, (..., 9, 9); singular at a full turn."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (9,))
     with_position = se3.right_jacobian_inverse(v[..., :6])
     with_velocity = se3.right_jacobian_inverse(np.concatenate([v[..., :3], v[..., 6:]], axis=-1))
     return _block_lower(with_position[..., :3, :3], with_position[..., 3:, :3], with_velocity[..., 3:, :3])
@@ -134,9 +137,13 @@ def right_jacobian_inverse(xi: ArrayLike) -> Array:
 
 def retract(X: ArrayLike, d: ArrayLike) -> Array:
     """Return ``X @ exp(d)``."""
-    return np.asarray(X, dtype=np.float64) @ exp(d)
+    x, v = as_batch("X", X, (5, 5)), as_batch("d", d, (9,))
+    match("X and d", x.shape[:-2], v.shape[:-1])
+    return x @ exp(v)
 
 
 def local(X_a: ArrayLike, X_b: ArrayLike) -> Array:
     """Return the d with ``retract(X_a, d) = X_b``, (..., 9)."""
-    return log(inverse(X_a) @ np.asarray(X_b, dtype=np.float64))
+    a, b = as_batch("X_a", X_a, (5, 5)), as_batch("X_b", X_b, (5, 5))
+    match("X_a and X_b", a.shape, b.shape)
+    return log(inverse(a) @ b)

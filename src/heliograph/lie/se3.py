@@ -13,9 +13,10 @@ References
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from heliograph import _core
+from heliograph.arrays import Array, as_batch, broadcast, match
 from heliograph.lie import _batch, _series, so3
 
 __all__ = [
@@ -34,8 +35,6 @@ __all__ = [
     "right_jacobian_inverse",
 ]
 
-Array = NDArray[np.float64]
-
 
 def identity(batch: tuple[int, ...] = ()) -> Array:
     """Return identity motions, (*batch, 4, 4)."""
@@ -44,18 +43,22 @@ def identity(batch: tuple[int, ...] = ()) -> Array:
 
 def from_rotation_translation(R: ArrayLike, t: ArrayLike) -> Array:
     """Return motions from rotations (..., 3, 3) and translations (..., 3) [m], broadcast."""
-    r, v = np.asarray(R, dtype=np.float64), np.asarray(t, dtype=np.float64)
-    batch = r.shape[:-2] if r.shape[:-2] == v.shape[:-1] else np.broadcast_shapes(r.shape[:-2], v.shape[:-1])
+    r, v = as_batch("R", R, (3, 3)), as_batch("t", t, (3,))
+    batch = broadcast("R and t", r.shape[:-2], v.shape[:-1])
+    return _from_parts(r, v, batch)
+
+
+def _from_parts(R: Array, t: Array, batch: tuple[int, ...]) -> Array:
     out = np.zeros((*batch, 4, 4))
-    out[..., :3, :3] = r
-    out[..., :3, 3] = v
+    out[..., :3, :3] = R
+    out[..., :3, 3] = t
     out[..., 3, 3] = 1.0
     return out
 
 
 def hat(xi: ArrayLike) -> Array:
     """Return the 4x4 matrix of a tangent vector, (..., 4, 4) from (..., 6)."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (6,))
     out = np.zeros((*v.shape[:-1], 4, 4))
     out[..., :3, :3] = so3.hat(v[..., :3])
     out[..., :3, 3] = v[..., 3:]
@@ -64,17 +67,17 @@ def hat(xi: ArrayLike) -> Array:
 
 def exp(xi: ArrayLike) -> Array:
     """Return the motion of a constant twist over unit time, (..., 4, 4) from (..., 6) ([2]_ eq. 172)."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (6,))
     if v.ndim > 1:
         return _batch.each(_core.se3_exp, v, 1, (4, 4))
     phi, rho = v[..., :3], v[..., 3:]
     t = (so3.left_jacobian(phi) @ rho[..., None])[..., 0]
-    return from_rotation_translation(so3.exp(phi), t)
+    return _from_parts(so3.exp(phi), t, ())
 
 
 def log(T: ArrayLike) -> Array:
     """Return the tangent vector with a rotation of length in [0, pi], (..., 6) from (..., 4, 4) ([2]_ eq. 173)."""
-    m = np.asarray(T, dtype=np.float64)
+    m = as_batch("T", T, (4, 4))
     if m.ndim > 2:
         return _batch.each(_core.se3_log, m, 2, (6,))
     phi = so3.log(m[..., :3, :3])
@@ -84,7 +87,9 @@ def log(T: ArrayLike) -> Array:
 
 def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> Array:
     """Return ``T_a_c = T_a_b @ T_b_c``."""
-    a, b = np.asarray(T_a_b, dtype=np.float64), np.asarray(T_b_c, dtype=np.float64)
+    a, b = as_batch("T_a_b", T_a_b, (4, 4)), as_batch("T_b_c", T_b_c, (4, 4))
+    if a.shape != b.shape:
+        match("T_a_b and T_b_c", a.shape, b.shape)
     if a.ndim > 2 and a.shape == b.shape:
         return _batch.each_pair(_core.se3_compose, a, b)
     return np.asarray(a @ b)
@@ -92,11 +97,11 @@ def compose(T_a_b: ArrayLike, T_b_c: ArrayLike) -> Array:
 
 def inverse(T: ArrayLike) -> Array:
     """Return ``T_b_a`` from ``T_a_b``, (..., 4, 4)."""
-    m = np.asarray(T, dtype=np.float64)
+    m = as_batch("T", T, (4, 4))
     if m.ndim > 2:
         return _batch.each(_core.se3_inverse, m, 2, (4, 4))
     R_b_a = np.swapaxes(m[..., :3, :3], -1, -2)
-    return from_rotation_translation(R_b_a, -(R_b_a @ m[..., :3, 3:])[..., 0])
+    return _from_parts(R_b_a, -(R_b_a @ m[..., :3, 3:])[..., 0], m.shape[:-2])
 
 
 def act(T: ArrayLike, points: ArrayLike) -> Array:
@@ -105,9 +110,10 @@ def act(T: ArrayLike, points: ArrayLike) -> Array:
     One motion acts on any number of points; a batch of motions acts element by element, broadcast. Single-precision
     points give a double-precision result.
     """
-    m, p = np.asarray(T, dtype=np.float64), np.asarray(points)
+    m, p = as_batch("T", T, (4, 4)), as_batch("points", points, (3,))
     if m.ndim == 2:
         return np.asarray(p @ m[:3, :3].T + m[:3, 3], dtype=np.float64)
+    match("T and points", m.shape[:-2], p.shape[:-1])
     return np.asarray((m[..., :3, :3] @ p[..., None])[..., 0] + m[..., :3, 3], dtype=np.float64)
 
 
@@ -122,7 +128,7 @@ def _block_lower(rotation: Array, coupling: Array) -> Array:
 
 def adjoint(T: ArrayLike) -> Array:
     """Return Ad with ``T exp(d) = exp(Ad d) T``, (..., 6, 6), rotation first ([2]_ eq. 175)."""
-    m = np.asarray(T, dtype=np.float64)
+    m = as_batch("T", T, (4, 4))
     if m.ndim > 2:
         return _batch.each(_core.se3_adjoint, m, 2, (6, 6))
     R = m[..., :3, :3]
@@ -146,7 +152,7 @@ def _coupling(phi: Array, rho: Array) -> Array:
 
 def right_jacobian(xi: ArrayLike) -> Array:
     """Return Jr with ``exp(xi + d) = exp(xi) exp(Jr d)`` to first order, (..., 6, 6)."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (6,))
     if v.ndim > 1:
         return _batch.each(_core.se3_right_jacobian, v, 1, (6, 6))
     phi, rho = v[..., :3], v[..., 3:]
@@ -155,7 +161,7 @@ def right_jacobian(xi: ArrayLike) -> Array:
 
 def right_jacobian_inverse(xi: ArrayLike) -> Array:
     """Return the inverse of `right_jacobian`, (..., 6, 6); singular at a full turn."""
-    v = np.asarray(xi, dtype=np.float64)
+    v = as_batch("xi", xi, (6,))
     if v.ndim > 1:
         return _batch.each(_core.se3_right_jacobian_inverse, v, 1, (6, 6))
     phi, rho = v[..., :3], v[..., 3:]
@@ -165,9 +171,9 @@ def right_jacobian_inverse(xi: ArrayLike) -> Array:
 
 def retract(T: ArrayLike, d: ArrayLike) -> Array:
     """Return ``T @ exp(d)``."""
-    return compose(T, exp(d))
+    return compose(as_batch("T", T, (4, 4)), exp(as_batch("d", d, (6,))))
 
 
 def local(T_a: ArrayLike, T_b: ArrayLike) -> Array:
     """Return the d with ``retract(T_a, d) = T_b``, that is ``log(inverse(T_a) @ T_b)``, (..., 6)."""
-    return log(compose(inverse(T_a), T_b))
+    return log(compose(inverse(as_batch("T_a", T_a, (4, 4))), as_batch("T_b", T_b, (4, 4))))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 __all__ = [
     "adjoint",
@@ -18,7 +18,7 @@ __all__ = [
     "right_jacobian_inverse",
 ]
 
-Array = NDArray[np.float64]
+from heliograph.arrays import Array, as_batch, match
 
 
 def identity(batch: tuple[int, ...] = ()) -> Array:
@@ -28,7 +28,7 @@ def identity(batch: tuple[int, ...] = ()) -> Array:
 
 def hat(phi: ArrayLike) -> Array:
     """Return ``[[0, -t], [t, 0]]``, (..., 2, 2) from (..., 1)."""
-    t = np.asarray(phi, dtype=np.float64)[..., 0]
+    t = as_batch("phi", phi, (1,))[..., 0]
     out = np.zeros((*t.shape, 2, 2))
     out[..., 1, 0] = t
     out[..., 0, 1] = -t
@@ -37,7 +37,7 @@ def hat(phi: ArrayLike) -> Array:
 
 def exp(phi: ArrayLike) -> Array:
     """Return the rotation by an angle, (..., 2, 2) from (..., 1)."""
-    t = np.asarray(phi, dtype=np.float64)[..., 0]
+    t = as_batch("phi", phi, (1,))[..., 0]
     out = np.empty((*t.shape, 2, 2))
     out[..., 0, 0] = out[..., 1, 1] = np.cos(t)
     out[..., 1, 0] = np.sin(t)
@@ -47,13 +47,13 @@ def exp(phi: ArrayLike) -> Array:
 
 def log(R: ArrayLike) -> Array:
     """Return the angle in [-pi, pi], (..., 1) from (..., 2, 2)."""
-    r = np.asarray(R, dtype=np.float64)
+    r = as_batch("R", R, (2, 2))
     return np.asarray(np.arctan2(r[..., 1, 0], r[..., 0, 0]), dtype=np.float64)[..., None]
 
 
 def inverse(R: ArrayLike) -> Array:
     """Return the transposes."""
-    return np.swapaxes(np.asarray(R, dtype=np.float64), -1, -2)
+    return np.swapaxes(as_batch("R", R, (2, 2)), -1, -2)
 
 
 def _ones(batch: tuple[int, ...]) -> Array:
@@ -62,24 +62,28 @@ def _ones(batch: tuple[int, ...]) -> Array:
 
 def adjoint(R: ArrayLike) -> Array:
     """Return 1, (..., 1, 1): planar rotations commute."""
-    return _ones(np.shape(R)[:-2])
+    return _ones(as_batch("R", R, (2, 2)).shape[:-2])
 
 
 def right_jacobian(phi: ArrayLike) -> Array:
     """Return 1, (..., 1, 1)."""
-    return _ones(np.shape(phi)[:-1])
+    return _ones(as_batch("phi", phi, (1,)).shape[:-1])
 
 
 def right_jacobian_inverse(phi: ArrayLike) -> Array:
     """Return 1, (..., 1, 1)."""
-    return _ones(np.shape(phi)[:-1])
+    return _ones(as_batch("phi", phi, (1,)).shape[:-1])
 
 
 def retract(R: ArrayLike, d: ArrayLike) -> Array:
     """Return ``R @ exp(d)``."""
-    return np.asarray(R, dtype=np.float64) @ exp(d)
+    r, v = as_batch("R", R, (2, 2)), as_batch("d", d, (1,))
+    match("R and d", r.shape[:-2], v.shape[:-1])
+    return r @ exp(v)
 
 
 def local(R_a: ArrayLike, R_b: ArrayLike) -> Array:
     """Return the d with ``retract(R_a, d) = R_b``, (..., 1)."""
-    return log(inverse(R_a) @ np.asarray(R_b, dtype=np.float64))
+    a, b = as_batch("R_a", R_a, (2, 2)), as_batch("R_b", R_b, (2, 2))
+    match("R_a and R_b", a.shape, b.shape)
+    return log(np.swapaxes(a, -1, -2) @ b)

@@ -14,9 +14,10 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from heliograph import _core
+from heliograph.arrays import Array, as_batch, as_numbers, broadcast, match, require_finite
 from heliograph.errors import DataError
 from heliograph.lie import _batch, _series
 
@@ -42,7 +43,6 @@ __all__ = [
     "vee",
 ]
 
-Array = NDArray[np.float64]
 Scalar: TypeAlias = Any  # a float, or an array of one value an element of the batch
 
 
@@ -53,7 +53,7 @@ def identity(batch: tuple[int, ...] = ()) -> Array:
 
 def hat(phi: ArrayLike) -> Array:
     """Return the skew matrix with ``hat(a) @ b = a x b``, (..., 3, 3) from (..., 3)."""
-    v = np.asarray(phi, dtype=np.float64)
+    v = as_batch("phi", phi, (3,))
     out = np.zeros((*v.shape[:-1], 3, 3))
     out[..., 2, 1] = v[..., 0]
     out[..., 0, 2] = v[..., 1]
@@ -66,14 +66,14 @@ def hat(phi: ArrayLike) -> Array:
 
 def vee(skew: ArrayLike) -> Array:
     """Return the vector of a skew matrix, (..., 3) from (..., 3, 3); the symmetric part is ignored."""
-    m = np.asarray(skew, dtype=np.float64)
+    m = as_batch("skew", skew, (3, 3))
     twice = (m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1])
     return 0.5 * np.stack(twice, axis=-1)
 
 
 def _components(phi: ArrayLike) -> tuple[Scalar, Scalar, Scalar, Scalar]:
     """Return x, y, z and the squared angle: floats for one vector (a third of the cost), arrays for a batch."""
-    v = np.asarray(phi, dtype=np.float64)
+    v = as_batch("phi", phi, (3,))
     if v.ndim == 1:
         x, y, z = v.tolist()
         return x, y, z, x * x + y * y + z * z
@@ -95,7 +95,7 @@ def _quadratic(x: Scalar, y: Scalar, z: Scalar, p: Scalar, q: Scalar) -> Array:
 
 def exp(phi: ArrayLike) -> Array:
     """Return the rotation about ``phi`` by its length [rad], (..., 3, 3) from (..., 3) (Rodrigues; [1]_ eq. 134)."""
-    v = np.asarray(phi, dtype=np.float64)
+    v = as_batch("phi", phi, (3,))
     if v.ndim > 1:
         return _batch.each(_core.so3_exp, v, 1, (3, 3))
     x, y, z, theta2 = _components(v)
@@ -108,7 +108,7 @@ def log(R: ArrayLike) -> Array:
     Accurate at every angle, pi included, where the sign of the axis is arbitrary but deterministic. A slightly
     non-orthonormal matrix gives the vector of a rotation near it.
     """
-    r = np.asarray(R, dtype=np.float64)
+    r = as_batch("R", R, (3, 3))
     if r.ndim > 2:
         return _batch.each(_core.so3_log, r, 2, (3,))
     q = to_quaternion(r)
@@ -121,7 +121,7 @@ def log(R: ArrayLike) -> Array:
 
 def left_jacobian(phi: ArrayLike) -> Array:
     """Return Jl with ``exp(phi + d) = exp(Jl d) exp(phi)`` to first order, (..., 3, 3) ([1]_ eq. 145)."""
-    v = np.asarray(phi, dtype=np.float64)
+    v = as_batch("phi", phi, (3,))
     if v.ndim > 1:
         return _batch.each(_core.so3_left_jacobian, v, 1, (3, 3))
     x, y, z, theta2 = _components(v)
@@ -130,7 +130,7 @@ def left_jacobian(phi: ArrayLike) -> Array:
 
 def right_jacobian(phi: ArrayLike) -> Array:
     """Return Jr with ``exp(phi + d) = exp(phi) exp(Jr d)`` to first order, (..., 3, 3) ([1]_ eq. 143)."""
-    v = np.asarray(phi, dtype=np.float64)
+    v = as_batch("phi", phi, (3,))
     if v.ndim > 1:
         return _batch.each(_core.so3_right_jacobian, v, 1, (3, 3))
     x, y, z, theta2 = _components(v)
@@ -139,7 +139,7 @@ def right_jacobian(phi: ArrayLike) -> Array:
 
 def left_jacobian_inverse(phi: ArrayLike) -> Array:
     """Return the inverse of `left_jacobian`; singular at a full turn ([1]_ eq. 146)."""
-    v = np.asarray(phi, dtype=np.float64)
+    v = as_batch("phi", phi, (3,))
     if v.ndim > 1:
         return _batch.each(_core.so3_left_jacobian_inverse, v, 1, (3, 3))
     x, y, z, theta2 = _components(v)
@@ -148,7 +148,7 @@ def left_jacobian_inverse(phi: ArrayLike) -> Array:
 
 def right_jacobian_inverse(phi: ArrayLike) -> Array:
     """Return the inverse of `right_jacobian`; singular at a full turn ([1]_ eq. 144)."""
-    v = np.asarray(phi, dtype=np.float64)
+    v = as_batch("phi", phi, (3,))
     if v.ndim > 1:
         return _batch.each(_core.so3_right_jacobian_inverse, v, 1, (3, 3))
     x, y, z, theta2 = _components(v)
@@ -157,22 +157,26 @@ def right_jacobian_inverse(phi: ArrayLike) -> Array:
 
 def inverse(R: ArrayLike) -> Array:
     """Return the transposes."""
-    return np.swapaxes(np.asarray(R, dtype=np.float64), -1, -2)
+    return np.swapaxes(as_batch("R", R, (3, 3)), -1, -2)
 
 
 def adjoint(R: ArrayLike) -> Array:
     """Return Ad with ``R exp(d) = exp(Ad d) R``, which for rotations is R itself."""
-    return np.array(R, dtype=np.float64)
+    return as_batch("R", R, (3, 3)).copy()
 
 
 def retract(R: ArrayLike, d: ArrayLike) -> Array:
     """Return ``R @ exp(d)``."""
-    return np.asarray(R, dtype=np.float64) @ exp(d)
+    r, v = as_batch("R", R, (3, 3)), as_batch("d", d, (3,))
+    match("R and d", r.shape[:-2], v.shape[:-1])
+    return r @ exp(v)
 
 
 def local(R_a: ArrayLike, R_b: ArrayLike) -> Array:
     """Return the d with ``retract(R_a, d) = R_b``, that is ``log(R_a^T R_b)``."""
-    return log(inverse(R_a) @ np.asarray(R_b, dtype=np.float64))
+    a, b = as_batch("R_a", R_a, (3, 3)), as_batch("R_b", R_b, (3, 3))
+    match("R_a and R_b", a.shape, b.shape)
+    return log(np.swapaxes(a, -1, -2) @ b)
 
 
 def from_quaternion(xyzw: ArrayLike) -> Array:
@@ -183,7 +187,7 @@ def from_quaternion(xyzw: ArrayLike) -> Array:
     DataError
         A quaternion is zero or not finite.
     """
-    q = np.asarray(xyzw, dtype=np.float64)
+    q = as_batch("xyzw", xyzw, (4,))
     norm = np.sqrt(np.einsum("...i,...i->...", q, q))
     if not np.all((norm > 1e-150) & np.isfinite(norm)):
         raise DataError("a quaternion is zero or not finite; a rotation needs a non-zero (x, y, z, w)")
@@ -198,7 +202,7 @@ def to_quaternion(R: ArrayLike) -> Array:
     The 4x4 matrix ``4 q q^T`` is linear in R; its row with the largest diagonal entry is the quaternion without loss of
     digits, whatever the angle [2]_.
     """
-    r = np.asarray(R, dtype=np.float64)
+    r = as_batch("R", R, (3, 3))
     r00, r11, r22 = r[..., 0, 0], r[..., 1, 1], r[..., 2, 2]
     m = np.empty((*r.shape[:-2], 4, 4))
     m[..., 0, 0] = 1.0 + r00 - r11 - r22
@@ -216,7 +220,7 @@ def to_quaternion(R: ArrayLike) -> Array:
 
 def project(M: ArrayLike) -> Array:
     """Return the rotation nearest to each matrix in the Frobenius norm, (..., 3, 3)."""
-    u, _, vt = np.linalg.svd(np.asarray(M, dtype=np.float64))
+    u, _, vt = np.linalg.svd(require_finite("M", as_batch("M", M, (3, 3))))
     # A reflection is turned into a rotation along the direction that costs least: the smallest singular value's.
     u[..., :, 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return np.asarray(u @ vt, dtype=np.float64)
@@ -232,8 +236,8 @@ def from_two_vectors(a: ArrayLike, b: ArrayLike) -> Array:
     DataError
         A vector is zero or not finite.
     """
-    u: Array = np.asarray(a, dtype=np.float64)
-    v: Array = np.asarray(b, dtype=np.float64)
+    u, v = as_batch("a", a, (3,)), as_batch("b", b, (3,))
+    match("a and b", u.shape[:-1], v.shape[:-1])
     lengths = np.linalg.norm(u, axis=-1) * np.linalg.norm(v, axis=-1)
     if not np.all((lengths > 0.0) & np.isfinite(lengths)):
         raise DataError("a direction needs a non-zero finite vector")
@@ -253,7 +257,9 @@ def from_two_vectors(a: ArrayLike, b: ArrayLike) -> Array:
 def from_rpy(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
     """Return ``Rz(yaw) @ Ry(pitch) @ Rx(roll)``, (..., 3, 3) from three (...) [rad]."""
     x, y, z = np.eye(3)
-    r, p, w = (np.asarray(angle, dtype=np.float64)[..., None] for angle in (roll, pitch, yaw))
+    given = {"roll": roll, "pitch": pitch, "yaw": yaw}
+    r, p, w = (as_numbers(name, angle)[..., None] for name, angle in given.items())
+    broadcast("roll, pitch and yaw", r.shape[:-1], p.shape[:-1], w.shape[:-1])
     return exp(w * z) @ exp(p * y) @ exp(r * x)
 
 
@@ -263,7 +269,7 @@ def to_rpy(R: ArrayLike) -> Array:
     For people to read, not to compute with. Pitch is in [-pi/2, pi/2]. At its ends only a combination of roll and yaw
     exists; roll is then 0.
     """
-    r = np.asarray(R, dtype=np.float64)
+    r = as_batch("R", R, (3, 3))
     level = np.hypot(r[..., 0, 0], r[..., 1, 0])
     pitch = np.arctan2(-r[..., 2, 0], level)
     locked = level < 1e-9

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
-from heliograph.arrays import frozen
+from heliograph.arrays import as_array, as_points, as_pose, frozen
+from heliograph.errors import DataError
 
 __all__ = ["GlobalMap", "MapCells"]
 
@@ -35,14 +36,18 @@ class MapCells:
     counts: NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        n = len(self.counts)
+        counts = frozen("counts", self.counts, np.float32, (None,))
+        n = len(counts)
         object.__setattr__(self, "cubes", frozen("cubes", self.cubes, np.int32, (n, 3)))
         object.__setattr__(self, "sums", frozen("sums", self.sums, np.float32, (n, 3)))
         object.__setattr__(self, "intensity", frozen("intensity", self.intensity, np.float32, (n,)))
-        object.__setattr__(self, "counts", frozen("counts", self.counts, np.float32, (n,)))
+        object.__setattr__(self, "counts", counts)
 
     def __len__(self) -> int:
         return len(self.counts)
+
+
+_NONE = np.zeros(0, np.float32)
 
 
 class GlobalMap:
@@ -55,14 +60,25 @@ class GlobalMap:
     """
 
     def __init__(self, voxel: float) -> None:
+        if not 0.0 < voxel < np.inf:
+            raise DataError(f"voxel is {voxel}, expected an edge above 0 m")
         self._native = _core.GlobalMap(voxel)
 
     def insert(
         self, points_imu: NDArray[np.float32], intensity: NDArray[np.float32] | None, T_map_imu: NDArray[np.float64]
     ) -> None:
-        """Add points (N, 3) of the imu frame [m] seen from the pose (4, 4), with one intensity each or None."""
-        values = np.zeros(0, np.float32) if intensity is None else np.ascontiguousarray(intensity)
-        self._native.insert(np.ascontiguousarray(points_imu), values, np.ascontiguousarray(T_map_imu))
+        """Add points (N, 3) of the imu frame [m] seen from the pose (4, 4), with one intensity each or None.
+
+        Points that are not finite are left out.
+
+        Raises
+        ------
+        DataError
+            An array of another dtype or shape, or a pose that is not finite.
+        """
+        points = as_points("points_imu", points_imu)
+        values = _NONE if intensity is None else as_array("intensity", intensity, np.float32, (len(points),))
+        self._native.insert(points, values, as_pose("T_map_imu", T_map_imu))
 
     def merge(self, cells: MapCells, T_map_odom: NDArray[np.float64] | None = None) -> None:
         """Add the cells of a map with cubes of the same edge.
@@ -75,7 +91,7 @@ class GlobalMap:
             That frame in this map's. The mean of each cell goes, with its weight, into the cube where it comes to lie.
             By default the frames are one, and cell is added to cell.
         """
-        T = None if T_map_odom is None else np.ascontiguousarray(T_map_odom, dtype=np.float64)
+        T = None if T_map_odom is None else as_pose("T_map_odom", T_map_odom)
         self._native.merge(cells.cubes, cells.sums, cells.intensity, cells.counts, T)
 
     def cells(self) -> MapCells:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import as_array, as_points, as_pose, require_finite
 from heliograph.config import MapConfig
 from heliograph.maps.protocol import PlaneMatches
 
@@ -41,20 +42,43 @@ class VoxelMap:
         )
 
     def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:
-        """Add points (N, 3) of the body frame seen from the pose (4, 4); return the new share of the cubes touched."""
-        return float(self.native.insert(np.ascontiguousarray(points_body), np.ascontiguousarray(T_odom_body)))
+        """Add points (N, 3) of the body frame seen from the pose (4, 4); return the new share of the cubes touched.
+
+        Points that are not finite are left out.
+
+        Raises
+        ------
+        DataError
+            An array of another dtype or shape, or a pose that is not finite.
+        """
+        points, T = as_points("points_body", points_body), as_pose("T_odom_body", T_odom_body)
+        return float(self.native.insert(points, T))
 
     def prune(self, centre_odom: NDArray[np.float64]) -> None:
-        """Forget cubes beyond ``config.radius`` of ``centre_odom`` (3,), and the farthest of too many."""
-        self.native.prune(np.ascontiguousarray(centre_odom), self.config.radius, self.config.max_voxels)
+        """Forget cubes beyond ``config.radius`` of ``centre_odom`` (3,), and the farthest of too many.
+
+        Raises
+        ------
+        DataError
+            ``centre_odom`` is not a finite (3,) float64.
+        """
+        centre = require_finite("centre_odom", as_array("centre_odom", centre_odom, np.float64, (3,)))
+        self.native.prune(centre, self.config.radius, self.config.max_voxels)
 
     def planes_at(self, points_odom: NDArray[np.float64], *, gate: float, neighbours: bool = True) -> PlaneMatches:
         """Return for each point (N, 3) the finest plane whose cube holds it, else one through its neighbours.
 
-        Looking for ``neighbours`` takes most of the time where many points have no plane.
+        Looking for ``neighbours`` takes most of the time where many points have no plane. A point that is not finite
+        has none.
+
+        Raises
+        ------
+        DataError
+            ``points_odom`` are not (N, 3) float64.
         """
+        points = as_array("points_odom", points_odom, np.float64, (None, 3))
         normal, point, variance, source = _core.query_planes(
-            self.native, np.ascontiguousarray(points_odom), gate, int(neighbours), self.config.fallback_range
+            self.native, points, gate, int(neighbours), self.config.fallback_range
         )
         return PlaneMatches(normal=normal, point=point, variance=variance, source=source)
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import as_real
 from heliograph.errors import DataError
 
 __all__ = ["MapSharpness", "map_sharpness"]
@@ -79,9 +80,9 @@ def map_sharpness(points: NDArray[np.floating], radius: float = 0.5, *, min_poin
     read `coverage` beside them: points that were smeared out of every cell no longer count. It sees noise, smear and
     doubled walls; it does not see a map that is bent as a whole.
     """
-    cloud = np.asarray(points)
+    cloud = as_real("points", points)
     if cloud.ndim != 2 or cloud.shape[1] != 3 or not np.issubdtype(cloud.dtype, np.floating):
-        raise DataError(f"a map has shape (N, 3) and floating-point values, got {cloud.shape} of {cloud.dtype}")
+        raise DataError(f"points needs shape (N, 3) and floating-point values, got {cloud.shape} of {cloud.dtype}")
     if not radius > 0.0 or min_points < 4:
         raise DataError(f"radius {radius:g} m must be positive and min_points {min_points} at least 4")
     if not np.isfinite(cloud).all():

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import as_array, freeze, require_finite
 from heliograph.data import Trajectory
 from heliograph.errors import ConfigError, DataError, closest
 from heliograph.lie import interpolate_se3, se3, so3
@@ -197,12 +197,18 @@ def align(T_estimate: Array, T_reference: Array, mode: str = "se3") -> Array:
     Raises
     ------
     DataError
-        The positions do not determine the rotation: a body at rest, or for ``"se3"`` an exactly straight path.
+        Arrays of another kind, or the positions do not determine the rotation: a body at rest, or for ``"se3"`` an
+        exactly straight path.
     ConfigError
         Unknown mode.
     """
     if mode not in ALIGNMENTS:
         raise ConfigError(f"alignment '{mode}' is not one of {', '.join(ALIGNMENTS)}{closest(mode, ALIGNMENTS)}")
+    T_estimate = require_finite("T_estimate", as_array("T_estimate", T_estimate, np.float64, (None, 4, 4)))
+    shape = (len(T_estimate), 4, 4)
+    T_reference = require_finite("T_reference", as_array("T_reference", T_reference, np.float64, shape))
+    if len(T_estimate) == 0:
+        raise DataError("T_estimate holds no poses; at least one pair is needed")
     if mode == "none":
         return np.eye(4)
     if mode == "origin":

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
-from heliograph.arrays import freeze
+from heliograph.arrays import as_array, as_points, as_pose, freeze
 from heliograph.errors import ConfigError
 from heliograph.maps import NEIGHBOURS, LocalMap, PlaneMatches, VoxelMap
 
@@ -145,7 +145,7 @@ def linearize(
     local_map : LocalMap
         A `VoxelMap` is searched natively; any other is asked for planes and summed with NumPy.
     points_imu : (N, 3) float32
-        De-skewed, imu frame at the sweep's end [m].
+        De-skewed, imu frame at the sweep's end [m]. One that is not finite finds no plane.
     T_odom_imu : (4, 4) float64
         Pose to linearise at.
     settings : MatchSettings
@@ -159,9 +159,14 @@ def linearize(
     ------
     ConfigError
         An unknown residual, or point residuals on a map that has none.
+    DataError
+        An array of another dtype or shape, or a pose that is not finite.
     """
     if settings.residual not in ("plane", "point"):
         raise ConfigError(f"residual '{settings.residual}' is not one of 'plane', 'point'")
+    points_imu, T_odom_imu = as_points("points_imu", points_imu), as_pose("T_odom_imu", T_odom_imu)
+    if before_end is not None:
+        before_end = as_array("before_end", before_end, np.float32, (len(points_imu),))
     if isinstance(local_map, VoxelMap):
         return _linearize_native(local_map, points_imu, T_odom_imu, settings, before_end, mounted)
     return _linearize_any(local_map, points_imu, T_odom_imu, settings, before_end, mounted)
@@ -185,7 +190,7 @@ def _linearize_native(
         local_map.native,
         points_imu,
         before_end if before_end is not None else np.zeros(0, np.float32),
-        np.ascontiguousarray(T_odom_imu),
+        T_odom_imu,
         np.ascontiguousarray(mounted.T_imu_lidar) if mounted is not None else unused,
         np.ascontiguousarray(mounted.T_odom_imu_first) if mounted is not None else unused,
         settings.gate,
@@ -276,8 +281,13 @@ def gradient_scatter(
 
     With the information A it gives the covariance ``A^-1 B A^-1`` of the pose for noise that differs from point to
     point, as that of a range seen under a flat angle does (H. White, 1980). Points without a plane are left out.
+
+    Raises
+    ------
+    DataError
+        An array of another dtype or shape, or a pose that is not finite.
     """
-    p = points.astype(np.float64)
+    p, T_odom_body = as_points("points", points).astype(np.float64), as_pose("T_odom_body", T_odom_body)
     at = p @ T_odom_body[:3, :3].T + T_odom_body[:3, 3]
     found = _matched(local_map.planes_at(at, gate=settings.gate, neighbours=False), p, T_odom_body, settings)
     rows = found.J * (found.w * found.inv_var * found.r)[:, None]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from heliograph.errors import DataError
 from heliograph.maps import GlobalMap
 from reference.maps import SlowGlobalMap
 from states import random_pose
@@ -51,5 +52,5 @@ def test_large_map_survives_the_growth_of_its_table(rng):
 
 
 def test_global_map_refuses_a_voxel_of_nothing():
-    with pytest.raises(ValueError, match="positive"):
+    with pytest.raises(DataError, match=r"voxel is 0\.0, expected an edge above 0 m"):
         GlobalMap(0.0)
