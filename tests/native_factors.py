@@ -32,7 +32,7 @@ def evaluate(kind, families, xs, zs, *, form=twin.SCALAR, S=1.0, shared=True, ke
     variables = np.arange(n * len(families), dtype=np.int32).reshape(len(families), n).T.copy()
     z = [twin.pack(families[0][0], z) if kind in (twin.PRIOR, twin.BETWEEN) else np.atleast_1d(z) for z in zs]
     empty = np.empty(0)
-    return _core.evaluate_factors(
+    return _core.testing.evaluate_factors(
         kind,
         np.array([(m, d, n) for m, d in families], dtype=np.int64),
         np.concatenate([p.ravel() for p in packed]),

@@ -27,8 +27,23 @@ using Matrix3 = Array<const double, nb::shape<3, 3>>;
 using Vector3 = Array<const double, nb::shape<3>>;
 using Rotations = Array<const double, nb::shape<-1, 3, 3>>;
 
-// Several results at once; the Python wrapper names them.
+// Several results at once, as a named tuple.
 using Tuple = nb::typed<nb::tuple, nb::any, nb::ellipsis>;
+
+// A type of named tuple, made at the first use and kept as long as the process lives. Static without a guard: what waits at
+// a guard with the interpreter's lock in hand would wait for ever. Two threads at once make two equal types.
+struct TupleType {
+  const char* name;
+  const char* fields;
+  PyObject* made = nullptr;
+};
+
+template <typename... Parts>
+Tuple named(TupleType& type, Parts&&... parts) {
+  if (type.made == nullptr)
+    type.made = nb::module_::import_("collections").attr("namedtuple")(type.name, type.fields).release().ptr();
+  return nb::borrow<Tuple>(nb::handle(type.made)(std::forward<Parts>(parts)...));
+}
 
 template <typename T, typename... Extra>
 std::span<const T> span_of(const Array<const T, Extra...>& array) {

@@ -14,7 +14,6 @@ auto moved(std::vector<T>&& values) {
   return to_numpy<T>(std::move(values), {size});
 }
 
-// determined, everywhere, components, component, factors, freedom, part, columns, motion_of, motion
 Tuple find_free(const GraphProblem& problem, const Indices& assumed, int most_columns) {
   FreeSpace space;
   {
@@ -23,9 +22,11 @@ Tuple find_free(const GraphProblem& problem, const Indices& assumed, int most_co
   }
   std::vector<uint8_t> freedom;
   for (const Freedom value : space.freedom) freedom.push_back(static_cast<uint8_t>(value));
-  return Tuple(nb::make_tuple(space.determined, space.everywhere, space.components, moved(std::move(space.component)), moved(std::move(space.factors)),
-                              moved(std::move(freedom)), moved(std::move(space.part)), moved(std::move(space.columns)),
-                              moved(std::move(space.motion_of)), moved(std::move(space.motion))));
+  static TupleType type{"FreeSpace",
+                        "determined everywhere components component factors freedom part columns motion_of motion"};
+  return named(type, space.determined, space.everywhere, space.components, moved(std::move(space.component)), moved(std::move(space.factors)),
+               moved(std::move(freedom)), moved(std::move(space.part)), moved(std::move(space.columns)),
+               moved(std::move(space.motion_of)), moved(std::move(space.motion)));
 }
 
 }  // namespace
@@ -33,8 +34,8 @@ Tuple find_free(const GraphProblem& problem, const Indices& assumed, int most_co
 void bind_graph_diagnosis(nb::module_& m) {
   using namespace nb::literals;
   m.def("graph_free_space", &find_free, "problem"_a, "assumed"_a.noconvert(), "most_columns"_a);
-  m.def("graph_components", [](const GraphProblem& problem) { return count_components(problem); }, "problem"_a);
-  m.def("graph_least_pivot", [](const GraphProblem& problem) { return least_pivot(problem); }, "problem"_a);
+  m.def("graph_components", [](const GraphProblem& problem) { return unlocked([&] { return count_components(problem); }); }, "problem"_a);
+  m.def("graph_least_pivot", [](const GraphProblem& problem) { return unlocked([&] { return least_pivot(problem); }); }, "problem"_a);
 }
 
 }  // namespace heliograph

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Factors and retractions one kind at a time, for tests and for the Python wrapper.
+// Factors and retractions one kind at a time, for the tests.
 #include <string>
 
 #include "bindings/bindings.hpp"
@@ -90,9 +90,10 @@ Tuple evaluate(const FactorGroup& group, const double* x) {
   nb::list by_variable;
   for (size_t a = 0; a < static_cast<size_t>(group.arity); ++a)
     by_variable.append(to_numpy<double>(std::move(jacobians[a]), {n, rows, static_cast<size_t>(group.dof[a])}));
-  return Tuple(nb::make_tuple(to_numpy<double>(std::move(residual), {n, rows}), to_numpy<double>(std::move(squared), {n}),
-                              by_variable, to_numpy<double>(std::move(blocks), {n, size}), linearized.chi2, linearized.cost,
-                              cost.chi2, cost.cost));
+  static TupleType type{"Evaluation", "residual squared jacobians blocks linearized_chi2 linearized_cost chi2 cost"};
+  return named(type, to_numpy<double>(std::move(residual), {n, rows}), to_numpy<double>(std::move(squared), {n}),
+               by_variable, to_numpy<double>(std::move(blocks), {n, size}), linearized.chi2, linearized.cost,
+               cost.chi2, cost.cost);
 }
 
 Tuple evaluate_factors(int type, const Families& families, const Doubles& x, const Indices& variables, int rows,

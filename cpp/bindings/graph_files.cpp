@@ -21,10 +21,11 @@ Tuple read_rows_of(nb::bytes text, const std::vector<std::string>& tags) {
     rows = read_rows(view, tags);
   }
   const size_t n = rows.tag.size(), numbers = rows.number.size();
-  return Tuple(nb::make_tuple(to_numpy<int32_t>(std::move(rows.tag), {n}), to_numpy<int64_t>(std::move(rows.line), {n}),
-                              to_numpy<int64_t>(std::move(rows.range), {n, 2}), to_numpy<int64_t>(std::move(rows.integer), {n, 2}),
-                              to_numpy<int64_t>(std::move(rows.first), {n + 1}), to_numpy<double>(std::move(rows.number), {numbers}),
-                              nb::make_tuple(rows.bad.line, rows.bad.begin, rows.bad.end)));
+  static TupleType type{"TextRows", "tag line range integer first number bad"};
+  return named(type, to_numpy<int32_t>(std::move(rows.tag), {n}), to_numpy<int64_t>(std::move(rows.line), {n}),
+               to_numpy<int64_t>(std::move(rows.range), {n, 2}), to_numpy<int64_t>(std::move(rows.integer), {n, 2}),
+               to_numpy<int64_t>(std::move(rows.first), {n + 1}), to_numpy<double>(std::move(rows.number), {numbers}),
+               nb::make_tuple(rows.bad.line, rows.bad.begin, rows.bad.end));
 }
 
 Tuple format_rows_of(const std::string& tag, const Integers& integers, const Numbers& numbers) {
@@ -36,7 +37,8 @@ Tuple format_rows_of(const std::string& tag, const Integers& integers, const Num
     text = format_rows(tag, {integers.data(), integers.size()}, {numbers.data(), numbers.size()}, integers.shape(0), &offset);
   }
   const size_t n = offset.size();
-  return Tuple(nb::make_tuple(nb::bytes(text.data(), text.size()), to_numpy<int64_t>(std::move(offset), {n})));
+  static TupleType type{"FormattedRows", "text offset"};
+  return named(type, nb::bytes(text.data(), text.size()), to_numpy<int64_t>(std::move(offset), {n}));
 }
 
 Tuple spanning_start_of(size_t count, const Offsets& i, const Offsets& j, const Array<const double, nb::ndim<3>>& relative) {
@@ -51,8 +53,9 @@ Tuple spanning_start_of(size_t count, const Offsets& i, const Offsets& j, const 
     nb::gil_scoped_release release;
     out = spanning_start(static_cast<int>(k) - 1, count, span_of(i), span_of(j), {relative.data(), relative.size()});
   }
-  return Tuple(nb::make_tuple(to_numpy<double>(std::move(out.pose), {count, k, k}), to_numpy<int32_t>(std::move(out.root), {count}),
-                              to_numpy<int32_t>(std::move(out.parent), {count})));
+  static TupleType type{"SpanningStart", "pose root parent"};
+  return named(type, to_numpy<double>(std::move(out.pose), {count, k, k}), to_numpy<int32_t>(std::move(out.root), {count}),
+               to_numpy<int32_t>(std::move(out.parent), {count}));
 }
 
 }  // namespace

@@ -30,7 +30,7 @@ Adjacency adjacency_of(const Stamps& offset, const Numbers& neighbour) {
 }
 
 auto minimum_degree_order(const Stamps& offset, const Numbers& neighbour, const Numbers& weight, const Numbers& group) {
-  const Adjacency graph = adjacency_of(offset, neighbour);
+  const Adjacency graph = unlocked([&] { return adjacency_of(offset, neighbour); });
   std::vector<int32_t> order;
   {
     nb::gil_scoped_release release;
@@ -41,7 +41,7 @@ auto minimum_degree_order(const Stamps& offset, const Numbers& neighbour, const 
 }
 
 auto nested_dissection_order(const Stamps& offset, const Numbers& neighbour, const Numbers& weight) {
-  const Adjacency graph = adjacency_of(offset, neighbour);
+  const Adjacency graph = unlocked([&] { return adjacency_of(offset, neighbour); });
   std::vector<int32_t> order;
   {
     nb::gil_scoped_release release;
@@ -52,7 +52,7 @@ auto nested_dissection_order(const Stamps& offset, const Numbers& neighbour, con
 }
 
 Tuple fill(const Stamps& offset, const Numbers& neighbour, const Numbers& weight, const Numbers& order) {
-  const Adjacency graph = adjacency_of(offset, neighbour);
+  const Adjacency graph = unlocked([&] { return adjacency_of(offset, neighbour); });
   std::vector<uint8_t> seen(graph.size(), 0);
   bool valid = order.size() == graph.size() && weight.size() == graph.size();
   for (size_t k = 0; valid && k < order.size(); ++k) {
@@ -65,7 +65,8 @@ Tuple fill(const Stamps& offset, const Numbers& neighbour, const Numbers& weight
   std::vector<int64_t> count = column_counts(graph, span_of(weight), span_of(order), parent);
   const Fill cost = fill_of_order(graph, span_of(weight), span_of(order));
   const size_t n = count.size();
-  return nb::make_tuple(cost.nonzeros, cost.flops, to_numpy<int32_t>(std::vector<int32_t>(parent), {n}), to_numpy<int64_t>(std::move(count), {n}));
+  static TupleType type{"Fill", "nonzeros flops parent column_counts"};
+  return named(type, cost.nonzeros, cost.flops, to_numpy<int32_t>(std::vector<int32_t>(parent), {n}), to_numpy<int64_t>(std::move(count), {n}));
 }
 
 }  // namespace

@@ -31,7 +31,10 @@ auto copied(std::span<const double> values) {
   return to_numpy<double>(std::vector<double>(values.begin(), values.end()), {values.size()});
 }
 
-Tuple costs(const GroupCost& cost) { return Tuple(nb::make_tuple(cost.chi2, cost.cost)); }
+Tuple costs(const GroupCost& cost) {
+  static TupleType type{"Costs", "chi2 cost"};
+  return named(type, cost.chi2, cost.cost);
+}
 
 size_t add_group(GraphProblem& problem, int type, const Scopes& variables, int rows, const Rows& measurement, int noise, bool shared,
                  const Doubles& sqrt_information, int kernel, double width) {
@@ -46,7 +49,7 @@ size_t add_group(GraphProblem& problem, int type, const Scopes& variables, int r
   input.sqrt_information = span_of(sqrt_information);
   input.kernel = static_cast<KernelType>(kernel);
   input.kernel_width = width;
-  return problem.add_group(make_group(input, problem.families()));
+  return unlocked([&] { return problem.add_group(make_group(input, problem.families())); });
 }
 
 void copy_into(std::vector<double>& to, std::span<const double> from, size_t expected, const char* what, bool or_none = false) {
@@ -66,8 +69,9 @@ Tuple residuals(const GraphProblem& problem, size_t index) {
   const FactorGroup& group = problem.groups().at(index);
   std::vector<double> residual(group.count * static_cast<size_t>(group.rows)), squared(group.count);
   unlocked([&] { residuals_of_group(group, 0, group.count, problem.values().data(), residual.data(), squared.data()); });
-  return Tuple(nb::make_tuple(to_numpy<double>(std::move(residual), {group.count, static_cast<size_t>(group.rows)}),
-                              to_numpy<double>(std::move(squared), {group.count})));
+  static TupleType type{"Residuals", "residual squared"};
+  return named(type, to_numpy<double>(std::move(residual), {group.count, static_cast<size_t>(group.rows)}),
+               to_numpy<double>(std::move(squared), {group.count}));
 }
 
 nb::typed<nb::tuple, nb::any, nb::ellipsis> jacobians(const GraphProblem& problem, size_t index) {
@@ -161,7 +165,7 @@ void bind_graph_problem(nb::module_& m) {
       .def("covariance_blocks", &covariance_blocks, "variables"_a.noconvert())
       .def("gradient", [](const GraphProblem& p) { return copied(p.gradient()); })
       .def("diagonal", [](const GraphProblem& p) { return copied(p.diagonal()); })
-      .def("multiply", [](const GraphProblem& p, const Doubles& v) { return copied(p.multiply(span_of(v))); }, "v"_a.noconvert())
+      .def("multiply", [](const GraphProblem& p, const Doubles& v) { return copied(unlocked([&] { return p.multiply(span_of(v)); })); }, "v"_a.noconvert())
       .def("retract", [](GraphProblem& p) { unlocked([&] { p.retract(); }); })
       .def("accept", &GraphProblem::accept)
       .def("residuals", &residuals, "group"_a)

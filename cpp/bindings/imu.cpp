@@ -32,10 +32,11 @@ Tuple propagate_state(const Stamps& stamps, const Vectors& gyro, const Vectors& 
   using RowMajor = Eigen::Matrix<double, kNavDim, kNavDim, Eigen::RowMajor>;
   Eigen::Map<RowMajor>(transition.data()) = out.transition;
   Eigen::Map<RowMajor>(covariance.data()) = out.noise;
-  return Tuple(nb::make_tuple(to_numpy<int64_t>(std::move(out.stamps_ns), {n}), to_numpy<double>(std::move(out.R), {n, 3, 3}),
-                        to_numpy<double>(std::move(out.p), {n, 3}), to_numpy<double>(std::move(out.v), {n, 3}),
-                        to_numpy<double>(std::move(transition), {kNavDim, kNavDim}),
-                        to_numpy<double>(std::move(covariance), {kNavDim, kNavDim}), out.held_s));
+  static TupleType type{"Propagation", "stamps_ns R p v transition noise held_s"};
+  return named(type, to_numpy<int64_t>(std::move(out.stamps_ns), {n}), to_numpy<double>(std::move(out.R), {n, 3, 3}),
+               to_numpy<double>(std::move(out.p), {n, 3}), to_numpy<double>(std::move(out.v), {n, 3}),
+               to_numpy<double>(std::move(transition), {kNavDim, kNavDim}),
+               to_numpy<double>(std::move(covariance), {kNavDim, kNavDim}), out.held_s);
 }
 
 template <typename Derived>
@@ -73,10 +74,11 @@ Tuple preintegrate_intervals(const Stamps& stamps, const Vectors& gyro, const Ve
     }
   };
   unlocked(integrate_all);
-  return Tuple(nb::make_tuple(to_numpy<double>(std::move(R), {n, 3, 3}), to_numpy<double>(std::move(p), {n, 3}),
-                              to_numpy<double>(std::move(v), {n, 3}), to_numpy<double>(std::move(times), {n, 4}),
-                              to_numpy<double>(std::move(by_bias), {n, 9, 6}), to_numpy<double>(std::move(covariance), {n, 9, 9}),
-                              to_numpy<double>(std::move(combined), {n, 15, 15})));
+  static TupleType type{"Preintegrated", "R p v times by_bias covariance combined"};
+  return named(type, to_numpy<double>(std::move(R), {n, 3, 3}), to_numpy<double>(std::move(p), {n, 3}),
+               to_numpy<double>(std::move(v), {n, 3}), to_numpy<double>(std::move(times), {n, 4}),
+               to_numpy<double>(std::move(by_bias), {n, 9, 6}), to_numpy<double>(std::move(covariance), {n, 9, 9}),
+               to_numpy<double>(std::move(combined), {n, 15, 15}));
 }
 
 // Residuals, and with derivatives those by both poses, the bias and gravity.
@@ -102,10 +104,11 @@ Tuple motion_residuals(const Array<const double, nb::shape<-1, 5, 5>>& X_i, cons
     }
     evaluate_motions(factors, r.data(), out);
   });
+  static TupleType type{"MotionResiduals", "residual by_i by_j by_bias by_gravity"};
   auto residual = to_numpy<double>(std::move(r), {n, 9});
-  if (!jacobians) return Tuple(nb::make_tuple(residual));
-  return Tuple(nb::make_tuple(residual, to_numpy<double>(std::move(by_i), {n, 9, 9}), to_numpy<double>(std::move(by_j), {n, 9, 9}),
-                              to_numpy<double>(std::move(by_bias), {n, 9, 6}), to_numpy<double>(std::move(by_gravity), {n, 9, 3})));
+  if (!jacobians) return named(type, residual, nb::none(), nb::none(), nb::none(), nb::none());
+  return named(type, residual, to_numpy<double>(std::move(by_i), {n, 9, 9}), to_numpy<double>(std::move(by_j), {n, 9, 9}),
+               to_numpy<double>(std::move(by_bias), {n, 9, 6}), to_numpy<double>(std::move(by_gravity), {n, 9, 3}));
 }
 
 }  // namespace

@@ -74,11 +74,13 @@ Tuple decode(nb::handle x, nb::handle y, nb::handle z, nb::handle time, nb::hand
   }
   const size_t n = out.kept.size();
   const auto or_none = [](bool given, auto&& array) { return given ? nb::cast(array) : nb::none(); };
-  return Tuple(nb::make_tuple(
+  static TupleType type{"DecodedPoints", "points kept times first_time intensity ring"};
+  return named(
+      type,
       to_numpy<float>(std::move(out.points), {n, 3}), to_numpy<uint32_t>(std::move(out.kept), {n}),
       or_none(in.time.has_value(), to_numpy<double>(std::move(out.times), {in.time ? n : 0})), out.first_time,
       or_none(in.intensity.has_value(), to_numpy<float>(std::move(out.intensity), {in.intensity ? n : 0})),
-      or_none(in.ring.has_value(), to_numpy<uint16_t>(std::move(out.ring), {in.ring ? n : 0}))));
+      or_none(in.ring.has_value(), to_numpy<uint16_t>(std::move(out.ring), {in.ring ? n : 0})));
 }
 
 Tuple offsets(const Array<const double, nb::shape<-1>>& times, double first, double ns_per_unit, double longest_ns) {
@@ -88,7 +90,8 @@ Tuple offsets(const Array<const double, nb::shape<-1>>& times, double first, dou
     out = sweep_offsets(span_of(times), first, ns_per_unit, longest_ns);
   }
   const size_t n = out.offsets_ns.size();
-  return Tuple(nb::make_tuple(to_numpy<int32_t>(std::move(out.offsets_ns), {n}), out.largest, out.outside));
+  static TupleType type{"SweepOffsets", "offsets_ns largest outside"};
+  return named(type, to_numpy<int32_t>(std::move(out.offsets_ns), {n}), out.largest, out.outside);
 }
 
 }  // namespace

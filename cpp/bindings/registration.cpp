@@ -10,8 +10,9 @@ Tuple to_tuple(const NormalEquations& sums, const MatchBlocks& blocks) {
   const auto n = static_cast<size_t>(blocks.columns());
   std::vector<double> information(sums.information, sums.information + n * n);
   std::vector<double> gradient(sums.gradient, sums.gradient + n);
-  return Tuple(nb::make_tuple(to_numpy<double>(std::move(information), {n, n}), to_numpy<double>(std::move(gradient), {n}),
-                        sums.weight, sums.robust_weight, sums.square, sums.cost, sums.matches, sums.fallback_matches));
+  static TupleType type{"MatchSums", "information gradient weight robust_weight square cost matches fallback_matches"};
+  return named(type, to_numpy<double>(std::move(information), {n, n}), to_numpy<double>(std::move(gradient), {n}),
+               sums.weight, sums.robust_weight, sums.square, sums.cost, sums.matches, sums.fallback_matches);
 }
 
 void check(const MatchSettings& s) {
@@ -57,8 +58,9 @@ Tuple query(const VoxelMap& map, const Vectors& points, double gate, int fallbac
     query_planes(map, span_of(points), settings(gate, 0.0, 1.0, fallback_stride, fallback_range, {false, false}),
                  {normal.data(), point.data(), variance.data(), source.data()});
   }
-  return Tuple(nb::make_tuple(to_numpy<float>(std::move(normal), {n, 3}), to_numpy<double>(std::move(point), {n, 3}),
-                        to_numpy<float>(std::move(variance), {n}), to_numpy<uint8_t>(std::move(source), {n})));
+  static TupleType type{"Planes", "normal point variance source"};
+  return named(type, to_numpy<float>(std::move(normal), {n, 3}), to_numpy<double>(std::move(point), {n, 3}),
+               to_numpy<float>(std::move(variance), {n}), to_numpy<uint8_t>(std::move(source), {n}));
 }
 
 }  // namespace

@@ -45,9 +45,10 @@ Tuple cast(const sim::Scene& scene, const Directions& directions, const Poses& T
                            .max_range = max_range};
     sim::cast_sweep(scene, sweep, threads, range, brightness, id);
   }
-  return Tuple(nb::make_tuple(to_numpy<double, nb::ndim<2>>(std::move(range), {rows, columns}),
-                        to_numpy<float, nb::ndim<2>>(std::move(brightness), {rows, columns}),
-                        to_numpy<int32_t, nb::ndim<2>>(std::move(id), {rows, columns})));
+  static TupleType type{"Returns", "range brightness primitive"};
+  return named(type, to_numpy<double, nb::ndim<2>>(std::move(range), {rows, columns}),
+               to_numpy<float, nb::ndim<2>>(std::move(brightness), {rows, columns}),
+               to_numpy<int32_t, nb::ndim<2>>(std::move(id), {rows, columns}));
 }
 
 }  // namespace

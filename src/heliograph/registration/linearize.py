@@ -72,6 +72,8 @@ class MapMounting:
     T_odom_imu_first: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        for name in ("T_imu_lidar", "T_odom_imu_first"):
+            object.__setattr__(self, name, as_pose(name, getattr(self, name)))
         freeze(self)
 
 
@@ -191,8 +193,8 @@ def _linearize_native(
         points_imu,
         before_end if before_end is not None else np.zeros(0, np.float32),
         T_odom_imu,
-        np.ascontiguousarray(mounted.T_imu_lidar) if mounted is not None else unused,
-        np.ascontiguousarray(mounted.T_odom_imu_first) if mounted is not None else unused,
+        mounted.T_imu_lidar if mounted is not None else unused,
+        mounted.T_odom_imu_first if mounted is not None else unused,
         settings.gate,
         settings.kernel,
         settings.sigma,
@@ -205,18 +207,18 @@ def _linearize_native(
     return _from_sums(sums, _blocks(before_end, mounted), len(points_imu))
 
 
-def _from_sums(sums: tuple[Any, ...], blocks: tuple[str, ...], queries: int) -> NormalEquations:
-    """Name what the native kernels return."""
+def _from_sums(sums: Any, blocks: tuple[str, ...], queries: int) -> NormalEquations:  # noqa: ANN401
+    """Add to the named sums of the native kernels what they are of."""
     return NormalEquations(
         blocks=blocks,
-        information=sums[0],
-        gradient=sums[1],
-        weight=sums[2],
-        robust_weight=sums[3],
-        square=sums[4],
-        cost=sums[5],
-        matches=sums[6],
-        fallback_matches=sums[7],
+        information=sums.information,
+        gradient=sums.gradient,
+        weight=sums.weight,
+        robust_weight=sums.robust_weight,
+        square=sums.square,
+        cost=sums.cost,
+        matches=sums.matches,
+        fallback_matches=sums.fallback_matches,
         queries=queries,
     )
 

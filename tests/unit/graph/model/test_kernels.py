@@ -6,6 +6,8 @@ import pytest
 from heliograph.errors import GraphError
 from heliograph.graph import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
 from heliograph.testing import assert_robust_kernel
+from native_factors import evaluate
+from reference import factors as twin
 
 KERNELS = [Huber, Cauchy, GemanMcClure, Tukey, DCS, TruncatedLeastSquares]
 
@@ -40,3 +42,15 @@ def test_kernel_values(kernel, residual, cost, weight):
 def test_a_width_that_is_none_is_refused(kernel, width):
     with pytest.raises(GraphError, match="width"):
         kernel(width)
+
+
+@pytest.mark.parametrize("width", [0.5, 1.345, 4.6])
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_native_costs_are_those_of_the_kernel(kernel, width):
+    one = kernel(width)
+    for r in (0.0, 0.3 * width, 0.999 * width, 1.001 * width, 2.0 * width, 30.0 * width):
+        found = evaluate(twin.PRIOR, [(twin.VECTOR, 1)], [[np.array([r])]], [np.zeros(1)], kernel=one.code, width=width)
+        assert found.chi2 == found.linearized_chi2 == r * r
+        expected = pytest.approx(2.0 * one.cost(r), rel=1e-13, abs=1e-300)
+        assert found.cost == expected
+        assert found.linearized_cost == expected
