@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from heliograph.arrays import Array
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.factors import CombinedImu, LeverArmPosition
@@ -35,7 +36,6 @@ __all__ = [
     "smooth_online",
 ]
 
-Array = NDArray[np.float64]
 
 # From imu_metadata.txt beside the recording; no other explains the noisy fixes better (`imu_likelihood`).
 NOISE = ImuNoise(gyro=1.75e-4, accel=1e-2, gyro_walk=2.91e-6, accel_walk=1.67e-4)

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from benchmarks.imu_drive import (
@@ -32,11 +31,11 @@ from benchmarks.imu_drive import (
     smooth,
     smooth_online,
 )
+from heliograph.arrays import Array
 from heliograph.graph import Marginals
 
 __all__ = ["compare", "cut_rows", "cut_summary", "lag_of", "write_task"]
 
-Array = NDArray[np.float64]
 _HERE = Path(__file__).resolve().parent
 _LAGS = np.arange(-0.06, 0.19, 0.04)  # seconds
 _PLACES, _CUT, _FIRST = 20, 30, 40  # cuts, their length and the earliest, in fixes a second apart

@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.imu_drive import BIAS_SIGMA, CONFIG, FIX_SIGMA, GRAVITY, NOISE, START_SIGMA, Drive, Task
+from heliograph.arrays import Array
 from heliograph.config import ImuConfig
 from heliograph.data import ImuNoise
 from heliograph.imu import preintegrate
@@ -20,7 +20,6 @@ from heliograph.lie import ExtendedPose, se23
 
 __all__ = ["log_likelihood"]
 
-Array = NDArray[np.float64]
 _WARM = 30  # fixes before any counts
 
 

@@ -1,12 +1,10 @@
 """Factor graphs from the textbook to a factor of one's own: python examples/factor_graph.py."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.graph import Between, Diagonal, Factor, FactorGraph, Isotropic, Marginals, Prior, Values, solve
 from heliograph.lie import SE2
-
-Array = NDArray[np.float64]
 
 
 def two_places() -> None:

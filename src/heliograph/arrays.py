@@ -16,8 +16,9 @@ from heliograph.errors import DataError
 
 __all__ = [
     "Array",
-    "Flags",
     "Indices",
+    "Keys",
+    "Mask",
     "Points",
     "Shape",
     "Stamps",
@@ -41,7 +42,9 @@ Points: TypeAlias = NDArray[np.float32]
 Stamps: TypeAlias = NDArray[np.int64]
 """(N,) [ns]."""
 Indices: TypeAlias = NDArray[np.int64]
-Flags: TypeAlias = NDArray[np.bool_]
+Keys: TypeAlias = NDArray[np.int64]
+"""Of a graph's variables."""
+Mask: TypeAlias = NDArray[np.bool_]
 Shape: TypeAlias = tuple[int | None, ...]
 """Required shape of an array; None leaves a length free."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.calibration.states import CalibrationMotion, CalibrationState, LidarPoses, RigPrior
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
@@ -31,7 +31,6 @@ from heliograph.lie import S2, SE3, ExtendedPose, se3, se23
 
 __all__ = ["Estimate", "estimate", "guess_motion", "sampled_at"]
 
-Array = NDArray[np.float64]
 
 # Keys: the states count from 0, their biases from here; the rest is far above both.
 _BIASES, _MOUNTING, _CLOCK, _GRAVITY = 500_000, 1_000_000, 1_000_001, 1_000_002

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.data import ImuBatch
 from heliograph.lie import so3
 
 __all__ = ["Coarse", "align_turns"]
 
-Array = NDArray[np.float64]
 
 _WINDOW_SCANS = 3  # scans over which turns are compared
 _TURN_SIGMA = 0.01  # of one comparison: the LiDAR's odometry without de-skewing by an IMU [rad]

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import RunConfig
 from heliograph.data import GnssFix, ImuBatch, Scan
 from heliograph.errors import DataError
@@ -17,7 +17,6 @@ from heliograph.odometry.follow import follow_lidar
 
 __all__ = ["Evidence", "gather", "refined", "thinned"]
 
-Array = NDArray[np.float64]
 Message: TypeAlias = Scan | ImuBatch | GnssFix
 
 _MIN_SCANS, _MIN_SAMPLES = 20, 20

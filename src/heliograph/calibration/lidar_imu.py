@@ -6,9 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.calibration.batch import Estimate, sampled_at
 from heliograph.calibration.coarse import align_turns
 from heliograph.calibration.gather import Evidence, Message, gather, refined
@@ -31,7 +30,6 @@ from heliograph.lie import se3, so3
 
 __all__ = ["AxisExcitation", "Calibration", "calibrate"]
 
-Array = NDArray[np.float64]
 
 _ODOMETRY_SIGMA = (0.02, 0.03)  # one-sigma of the LiDAR's own odometry to begin with [rad], [m]; its size is found
 _REST_WINDOW_NS, _MIN_REST_SAMPLES = 1_000_000_000, 20

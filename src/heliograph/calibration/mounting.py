@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan
 from heliograph.data.error_layout import LEVER_ARM, MOUNTING_ROTATION
@@ -24,7 +24,6 @@ from heliograph.odometry.follow import follow_lidar, thrifty
 
 __all__ = ["MountingAlignment", "align_mounting", "align_rotations"]
 
-Array = NDArray[np.float64]
 Message = Scan | ImuBatch | GnssFix
 
 _WINDOW = 5  # scans over which turns are compared

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import ImuConfig
 from heliograph.data import Event, ImuBatch, ImuNoise
 from heliograph.imu.allan import AllanCurve, allan_curve
@@ -19,7 +18,6 @@ from heliograph.imu.white_floor import WhiteFloor, white_floor
 
 __all__ = ["NoiseCalibration", "RestNoise", "SensorNoise", "calibrate_noise", "noise_at_rest"]
 
-Array = NDArray[np.float64]
 
 _SENSORS = ("gyro", "accel")
 _MIN_REST_SHARE = 0.8  # with less of the record at rest, what vibration adds in motion is measured too

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import CalibrationConfig
 from heliograph.lie import so3
 
@@ -23,7 +23,6 @@ __all__ = [
     "useful_sigmas",
 ]
 
-Array = NDArray[np.float64]
 
 AXES = (
     "rotation about x",

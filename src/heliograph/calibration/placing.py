@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Points, Stamps, freeze
 from heliograph.calibration.plane_map import PlaneMap, turn_against
 from heliograph.calibration.states import CalibrationMotion, CalibrationState, LidarPoses
 from heliograph.cloud import deskew, range_gate, voxel_downsample
@@ -22,9 +22,6 @@ from heliograph.registration import MatchSettings
 
 __all__ = ["LidarPath", "Placer", "lidar_path"]
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
-Points = NDArray[np.float32]
 
 _MAX_STEPS, _ROTATION_TOLERANCE, _POSITION_TOLERANCE = 8, 5e-6, 2e-5
 _WEAK_INFORMATION = 1e-3  # information that keeps a direction which no plane holds where it was [1/rad^2], [1/m^2]

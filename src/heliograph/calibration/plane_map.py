@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array, Mask, Points
 from heliograph.config import MapConfig
 from heliograph.lie import se3, so3
 from heliograph.maps import VoxelMap
@@ -15,9 +15,6 @@ from heliograph.registration import MatchSettings, NormalEquations, gradient_sca
 
 __all__ = ["PlaneMap", "turn_against"]
 
-Array = NDArray[np.float64]
-Points = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 _MAX_AVERAGED = 1_000_000  # points a cube averages: unlike an odometry's map, this one is made of all scans at once
 _MIN_COSINE, _MAX_DISTANCE = 0.998, 0.008  # normals' cosine and distance [m] within which two planes are one

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.calibration.batch import Estimate, estimate, guess_motion
 from heliograph.calibration.observability import Observed, analyse, difference, prior_sigmas
 from heliograph.calibration.states import CalibrationState, LidarPoses, RigPrior
@@ -16,7 +16,6 @@ from heliograph.data import ImuBatch, ImuNoise
 
 __all__ = ["CalibrationRounds", "change_from", "run_rounds"]
 
-Array = NDArray[np.float64]
 
 _HOLD_FACTOR = 1e4  # how many times the prior's information holds a direction that is kept, while solving
 _CHANGE_TOLERANCE = 0.2  # of its sigma: a smaller change of every observed direction ends the rounds

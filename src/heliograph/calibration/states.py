@@ -4,16 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Stamps, freeze
 from heliograph.data import ImuClock
 
 __all__ = ["CalibrationMotion", "CalibrationState", "LidarPoses", "RigPrior"]
-
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.checks.arrangement import mounting_of
 from heliograph.checks.evidence import Evidence
 from heliograph.checks.offset import MIN_CORRELATION
@@ -13,7 +13,6 @@ from heliograph.checks.windows import forces_over, lever_arm, turns_over
 
 __all__ = ["check_clock_offset", "check_prediction"]
 
-Array = NDArray[np.float64]
 
 _MIN_SCANS = 20
 _MAX_APART_NS = 1_000_000_000  # by which the beginnings and ends of two recorders may differ [ns]

@@ -8,7 +8,7 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.checks.evidence import Evidence
 from heliograph.checks.fit import EXCLUSION_CHI_SQUARE, TurnFit, cross, fit_turns, nearest_orthogonal, without_mean_rate
 from heliograph.checks.windows import Forces, Turns, lever_arm
@@ -26,7 +26,6 @@ __all__ = [
     "remap",
 ]
 
-Array = NDArray[np.float64]
 
 _FORCE_SIGMA = 0.1  # the least that two sensors differ over one window [m/s^2]
 

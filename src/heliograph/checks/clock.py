@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.checks.records import ImuRecord
 
 __all__ = ["CLOCK_STEP", "clock_drift", "clock_steps"]
 
-Array = NDArray[np.float64]
 
 CLOCK_STEP = 0.02
 """A step of the header stamps against the times of reception that is not transport any more [s]."""

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.checks.windows import Turns
 
 __all__ = ["TurnFit", "bias_beside", "cross", "fit_turns", "nearest_orthogonal", "without_mean_rate"]
 
-Array = NDArray[np.float64]
 
 EXCLUSION_CHI_SQUARE = 30.0
 """Chi-square by which one explanation must be worse than the best before it is excluded; 5.5 sigma, because the LiDAR's

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.checks.records import CheckedMotion
 from heliograph.checks.windows import orientation_at
 from heliograph.data import ImuBatch
@@ -14,7 +15,6 @@ from heliograph.lie import so3
 
 __all__ = ["MAX_OFFSET", "MIN_CORRELATION", "Offset", "find_offset"]
 
-Array = NDArray[np.float64]
 
 MAX_OFFSET = 10.0
 """No offset beyond it is looked for [s]."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.checks.evidence import Evidence
 from heliograph.checks.records import Finding, Number
 from heliograph.checks.windows import period_s
 
 __all__ = ["check_channels", "check_saturation", "check_vibration"]
 
-Array = NDArray[np.float64]
 
 _MIN_SAMPLES = 50
 _STUCK_SHARE = 0.5  # of the samples that stand still while other channels move

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Stamps, freeze
 from heliograph.checks.records import CheckedMotion, ImuRecord
 from heliograph.data import ImuBatch
 from heliograph.lie import interpolate_se3, se3, so3
@@ -24,8 +24,6 @@ __all__ = [
     "usable",
 ]
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 MAX_VALUE = 1e5  # in any unit; beyond it a message is damaged
 _MAX_BUNDLE = 8  # samples that a driver may send at once

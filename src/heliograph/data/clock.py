@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ImuClock"]
+from heliograph.arrays import Stamps
 
-Stamps = NDArray[np.int64]
+__all__ = ["ImuClock"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,9 +10,10 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from heliograph import _core
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.factors.gravity import STANDARD_GRAVITY, Gravity, GravityDirection, GravityVector, known_gravity
 from heliograph.factors.motion_rows import kept_samples, motion_rows
@@ -30,7 +31,6 @@ __all__ = [
     "PreintegratedImuOnGravity",
 ]
 
-Array = NDArray[np.float64]
 
 _FALLING = (0.0, 0.0, -STANDARD_GRAVITY)
 

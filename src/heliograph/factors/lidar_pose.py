@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.graph import Factor
 from heliograph.lie import SE3, ExtendedPose, se3, so3
 
 __all__ = ["LidarPose"]
-
-Array = NDArray[np.float64]
 
 
 class LidarPose(Factor):

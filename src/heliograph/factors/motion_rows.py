@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.imu import Preintegration
 from heliograph.imu.propagation import model_numbers
 
 __all__ = ["LINEAR_SHARE", "kept_samples", "linear_range", "motion_rows"]
 
-Array = NDArray[np.float64]
 
 LINEAR_SHARE = 0.02
 """Share of a standard deviation that the first-order correction of the biases may be off before it is given up."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph import Factor
 from heliograph.graph.model.kernels import Kernel
@@ -14,8 +15,6 @@ from heliograph.graph.model.noise import Noise
 from heliograph.lie import SE3, ExtendedPose, so3
 
 __all__ = ["LeverArmPosition", "LeverArmPositionOnArm", "Velocity"]
-
-Array = NDArray[np.float64]
 
 
 class LeverArmPosition(Factor):

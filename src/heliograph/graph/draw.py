@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError, MissingDependencyError
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.values import Values
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_poses", "to_dot"]
 
-Array = NDArray[np.float64]
 
 _MAX_VARIABLES = 500
 _ODOMETRY, _LOOP, _POINT = "#1f4e79", "#e0a15e", "#4d4d4d"

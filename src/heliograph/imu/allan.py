@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.chi_square import chi_square_quantile
 from heliograph.errors import DataError
 from heliograph.imu.stretches import Grid
 
 __all__ = ["AllanCurve", "allan_curve", "degrees_of_freedom"]
 
-Array = NDArray[np.float64]
 
 _TIMES_PER_OCTAVE = 4  # averaging times
 _MAX_OVERLAP = 8  # differences taken within one averaging time; more of them tell nothing new

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 
 __all__ = ["Bands", "band_spectrum"]
 
-Array = NDArray[np.float64]
 
 _SINGLE_COUNT = 128  # coefficients that are kept one by one before bands begin
 _PER_OCTAVE = 32  # bands

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.data import ImuBatch, ImuNoise, NavState
 from heliograph.data.error_layout import NAV_DIM, POSITION, ROTATION, VELOCITY
 
 __all__ = ["HALF_WINDOW", "clock_shift"]
 
-Array = NDArray[np.float64]
 
 HALF_WINDOW = 0.015
 """The signals at an instant are means from this long before to this long after it: single samples are noise [s]."""

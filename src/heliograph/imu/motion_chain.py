@@ -9,16 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.data.error_layout import POSE, POSITION, ROTATION, VELOCITY
 from heliograph.imu.preintegration import Preintegration
 from heliograph.lie import s2, so3
 
 __all__ = ["LOG_SCALE", "NODE", "SHARED", "Chain", "ChainStep", "relax"]
 
-Array = NDArray[np.float64]
 
 NODE, SHARED = 9, 9
 """Rotation, position, velocity of an instant; gyro bias, accelerometer bias, gravity direction, log scale of all.

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, Trajectory
 from heliograph.data.error_layout import ACCEL_BIAS, GYRO_BIAS
@@ -25,7 +25,6 @@ from heliograph.lie import s2, se3, so3
 
 __all__ = ["ImuExcitation", "MotionStart", "align_motion"]
 
-Array = NDArray[np.float64]
 
 _MAX_ITERATIONS = 12
 _SETTLED_STEP = 1e-5  # largest step of any unknown at which the iteration has converged [rad], [m], [m/s] ...

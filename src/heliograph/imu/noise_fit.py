@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.imu.bands import Bands
 from heliograph.imu.noise_likelihood import Fit, maximise
@@ -14,7 +13,6 @@ from heliograph.imu.noise_terms import RAMP, TERMS, spectrum, term_spectra
 
 __all__ = ["ChannelNoise", "TermEstimate", "fit_channel"]
 
-Array = NDArray[np.float64]
 
 _SHOWN_GAIN = 9.0  # twice the gain in log-likelihood that a term must bring: by chance once in 740 records
 _BOUND_GAIN = 2.706  # the same, for a one-sided bound that holds with 95 %

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.imu.bands import Bands
 from heliograph.imu.noise_terms import TERMS, term_spectra
 
 __all__ = ["Fit", "maximise"]
 
-Array = NDArray[np.float64]
 
 _MAX_ROUNDS, _MAX_HALVINGS = 60, 12
 _MAX_STEP = 2.0  # of the logarithm of a squared coefficient

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
+
+from heliograph.arrays import Array
 
 __all__ = ["RAMP", "TERMS", "allan_variance", "spectrum", "term_spectra"]
 
-Array = NDArray[np.float64]
 
 TERMS = ("quantisation", "white", "flicker", "walk")
 """IEEE 952's Q, N, B and K, by rising weight of the slow part."""

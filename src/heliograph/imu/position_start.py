@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import DataError
@@ -16,7 +16,6 @@ from heliograph.lie import ExtendedPose
 
 __all__ = ["PositionStart", "start_from_positions"]
 
-Array = NDArray[np.float64]
 
 _MIN_POSITIONS = 4  # positions: two give the straight line, and the rest must show more than one direction
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import DataError
@@ -27,7 +27,6 @@ from heliograph.lie import ExtendedPose
 
 __all__ = ["Preintegration", "preintegrate"]
 
-Array = NDArray[np.float64]
 
 _DEFAULT = ImuConfig()
 _SHARED = {"imu", "noise", "config"}  # of all intervals

@@ -8,15 +8,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Mask, freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch
 from heliograph.errors import DataError
 
 __all__ = ["Grid", "ImuStretch", "even_stretches", "still_stretches"]
 
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _MAX_MISSING = 5  # samples missing in a row that are interpolated; more of them split the record
 _STEP_TOLERANCE = 0.05  # steps within this share of the usual one are even
@@ -202,8 +200,8 @@ def _slow_spread(samples: Array, size: int, period: float) -> Array:
     return np.asarray(blocks.reshape(count, parts, part, 6).mean(axis=2).std(axis=1))
 
 
-def _within_limits(means: Array, sigmas: Array, config: ImuConfig) -> Flags:
-    calm: Flags = (
+def _within_limits(means: Array, sigmas: Array, config: ImuConfig) -> Mask:
+    calm: Mask = (
         (sigmas[:, :3].max(axis=1) <= config.still_gyro_sigma)
         & (sigmas[:, 3:].max(axis=1) <= config.still_accel_sigma)
         & (np.linalg.norm(means[:, :3], axis=1) <= config.still_rate)
@@ -220,7 +218,7 @@ def _finest_step(grid: Grid, channel: int) -> float:
     return float(changes.min()) if len(changes) else 0.0
 
 
-def _runs(stretch: ImuStretch, calm: Flags, joined: Flags, size: int, least: int, period: float) -> list[ImuStretch]:
+def _runs(stretch: ImuStretch, calm: Mask, joined: Mask, size: int, least: int, period: float) -> list[ImuStretch]:
     """Return the runs of calm windows without a jump; one window is given up at each end that borders on motion."""
     runs, first, count = [], 0, len(calm)
     for k in range(count):

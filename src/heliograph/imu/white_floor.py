@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise
 from heliograph.errors import DataError
@@ -15,7 +15,6 @@ from heliograph.imu.stretches import Grid, even_stretches
 
 __all__ = ["WhiteFloor", "noise_in_motion", "white_floor"]
 
-Array = NDArray[np.float64]
 
 _WINDOW, _MIN_SAMPLES, _USUAL_SAMPLES = 1.0, 40, 128  # length of a spectrum [s], and samples in it
 _TINY = 1e-100  # stands in for a level of zero

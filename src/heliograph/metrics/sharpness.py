@@ -13,12 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import as_real
+from heliograph.arrays import Array, as_real
 from heliograph.errors import DataError
 
 __all__ = ["MapSharpness", "map_sharpness"]
 
-Array = NDArray[np.float64]
 # Half an edge along the diagonal: a wall on the boundary of one grid's cells lies in the middle of the other's.
 _SHIFTS = (0.0, 0.5)
 # A standard deviation below this is no property of a map [m]; it keeps the entropy of an exact plane finite.

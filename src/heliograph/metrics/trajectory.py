@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import as_array, freeze, require_finite
+from heliograph.arrays import Array, as_array, freeze, require_finite
 from heliograph.data import Trajectory
 from heliograph.errors import ConfigError, DataError, closest
 from heliograph.lie import interpolate_se3, se3, so3
@@ -36,7 +36,6 @@ __all__ = [
     "start_end_gap",
 ]
 
-Array = NDArray[np.float64]
 ALIGNMENTS = ("se3", "yaw", "origin", "none")
 # Positions that spread less than this across their main direction do not determine a rotation.
 _MIN_SPREAD = 1e-6

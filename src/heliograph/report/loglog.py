@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from html import escape
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.report.svg import Axis, polyline, text
 
 __all__ = ["Curve", "Guide", "loglog_svg"]
 
-Array = NDArray[np.float64]
 
 _WIDTH, _HEIGHT = 860, 560
 _LEFT, _RIGHT, _TOP, _BOTTOM = 78, 24, 96, 56

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from math import comb, factorial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.errors import DataError
 from heliograph.lie import so3
 
 __all__ = ["Course", "Gait", "SimulatedMotion", "SpeedProfile", "UniformSpline", "WalkedPath"]
 
-Array = NDArray[np.float64]
 
 _DEGREE = 5
 _STEP_COEFFICIENTS = np.array(

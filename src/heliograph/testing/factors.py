@@ -6,8 +6,8 @@ import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.families import Family
@@ -15,8 +15,6 @@ from heliograph.lie.groups import MatrixGroup
 from heliograph.testing.jacobians import numeric_jacobian, random_tangent
 
 __all__ = ["assert_factor"]
-
-Array = NDArray[np.float64]
 
 
 def assert_factor(

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.lie.groups import MatrixGroup
 from heliograph.testing.jacobians import numeric_jacobian, random_tangent, rotations
 
 __all__ = ["MAGNITUDES", "assert_lie_group"]
 
-Array = NDArray[np.float64]
 MAGNITUDES = (
     0.0,
     1e-12,

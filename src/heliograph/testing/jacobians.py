@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.lie.groups import MatrixGroup
 
 __all__ = ["assert_jacobian", "numeric_jacobian", "random_tangent", "rotations"]
-
-Array = NDArray[np.float64]
 
 
 def numeric_jacobian(f: Callable[[Array], Array], x: Array, *, step: float = 1e-3) -> Array:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+
+from heliograph.arrays import Array
 
 __all__ = ["RobustKernel", "assert_robust_kernel"]
-
-Array = NDArray[np.float64]
 
 
 class RobustKernel(Protocol):

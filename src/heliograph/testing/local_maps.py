@@ -7,12 +7,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.lie import so3
 from heliograph.maps import LocalMap
 
 __all__ = ["assert_local_map"]
-
-Array = NDArray[np.float64]
 
 
 def assert_local_map(make_map: Callable[[], LocalMap], rng: np.random.Generator) -> None:

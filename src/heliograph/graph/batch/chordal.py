@@ -15,9 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Indices, Mask, freeze
 from heliograph.graph.model.families import FAMILIES, Family, vectors
 from heliograph.graph.model.noise import FULL, Whitening
 from heliograph.graph.model.values import Values
@@ -27,9 +26,6 @@ from heliograph.lie import SE2, SE3, SO2, SO3
 
 __all__ = ["chordal_values", "nearest_rotations", "whitened_information"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 _PRIOR, _BETWEEN, _LANDMARK, _POSITION = 1, 2, 5, 6  # codes of factors
 _DIMENSION = {FAMILIES[SO2]: 2, FAMILIES[SE2]: 2, FAMILIES[SO3]: 3, FAMILIES[SE3]: 3}

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.graph.batch.outcome import Minimum, Observer
 from heliograph.graph.problem.problem import Cost, Problem
@@ -14,7 +13,6 @@ from heliograph.graph.problem.settings import SolverSettings
 
 __all__ = ["minimize_constrained", "stiffen"]
 
-Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-10  # largest residual of a constraint that counts as none [m, rad]
 _ROUNDS = 40

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.graph.batch.outcome import Minimum, Observer, Trace
 from heliograph.graph.problem.problem import Cost, Problem
 from heliograph.graph.problem.settings import SolverSettings
 
 __all__ = ["dogleg"]
 
-Array = NDArray[np.float64]
 
 _LEAST_GAIN = 1e-4  # of the predicted decrease: less is no progress
 _LEAST_RADIUS = 1e-12  # of the Gauss-Newton step: below it nothing can be won

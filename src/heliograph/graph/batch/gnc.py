@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Mask, freeze
 from heliograph.chi_square import chi_square_quantile
 from heliograph.config_checks import check_choice, check_range
 from heliograph.errors import GraphError
@@ -24,8 +24,6 @@ from heliograph.graph.model.values import Values
 
 __all__ = ["RobustSettings", "RobustSolution", "solve_robust"]
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _ENOUGH = 10  # accepted factors from which a scale can be told
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array, Mask
 from heliograph.graph.batch.chordal import whitened_information
 from heliograph.graph.batch.initial import choose_start
 from heliograph.graph.batch.levenberg_marquardt import levenberg_marquardt
@@ -22,8 +23,6 @@ from heliograph.lie import SE2, SE3, se2, se3
 
 __all__ = ["Rounds", "geman_mcclure_weight", "truncated_weight"]
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _NEGLIGIBLE = 1e-7  # weight below which a doubtful factor is left out: random pairs would fill the elimination up
 _BINARY = 1e-6

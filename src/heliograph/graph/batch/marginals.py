@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.batch.constraints import stiffen
 from heliograph.graph.diagnosis.diagnosis import inspect, raise_free
@@ -14,8 +15,6 @@ from heliograph.graph.model.values import Values
 from heliograph.graph.problem.problem import Problem
 
 __all__ = ["Marginals"]
-
-Array = NDArray[np.float64]
 
 
 class Marginals:

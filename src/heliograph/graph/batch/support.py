@@ -16,14 +16,11 @@ from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Indices, freeze
 
 __all__ = ["Stretch", "agreeing"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _PAIRS = 1_000_000  # tested at a time, to bound memory
 

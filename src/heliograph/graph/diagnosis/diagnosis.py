@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import Array, Indices
 from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.diagnosis.free_motion import FreeMotion, describe_free, named_keys, remedy_for
 from heliograph.graph.diagnosis.null_space import Sensitivities
@@ -21,8 +21,6 @@ from heliograph.graph.problem.problem import Problem
 
 __all__ = ["Diagnosis", "diagnose", "inspect", "require_determined", "require_solved"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _MOST_COLUMNS = 48  # seed directions of one part
 _MOST_PARTS = 50  # that are told one by one

@@ -9,15 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Keys, freeze
 from heliograph.graph.diagnosis.world_motions import WorldMotions, describe_motions, world_motions
 from heliograph.graph.model.families import Family
 from heliograph.lie import S2, SO2, SO3
 
 __all__ = ["FreeMotion", "describe_free", "key_ranges", "named_keys", "remedy_for"]
 
-Array = NDArray[np.float64]
-Keys = NDArray[np.int64]
 
 _MOST_RUNS = 6  # stretches of keys in a message
 _MOVES = 1e-6  # of the largest: a variable that moves less rests

@@ -7,14 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array, Indices
 from heliograph.graph.model.noise import DIAGONAL, SCALAR
 from heliograph.graph.problem.problem import Problem
 from heliograph.graph.problem.resolve import ResolvedGroup
 
 __all__ = ["Sensitivities"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 # A motion is free if every factor's |J v| is below this share of sum |J_c| |v_c|. Weak information, which scales both
 # sides alike, is never taken for none.

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.graph.model.families import Family
 from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose
 from heliograph.lie import s2 as s2_ops
 
 __all__ = ["WorldMotions", "describe_motions", "space_of", "world_motions"]
 
-Array = NDArray[np.float64]
 
 _ALIGNED = 1e-6  # of a unit vector: as near to an axis, it is called by the axis' name
 _FLAT = 1e-6  # relative singular value below which a motion has no rotation, or no translation

@@ -8,13 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
-from heliograph.arrays import freeze
+from heliograph.arrays import Indices, freeze
 from heliograph.errors import DataError
 from heliograph.lie import SE2, SE3
 
 __all__ = ["SpanningStart", "distinct", "odometry_start"]
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,16 +31,16 @@ class SpanningStart:
         The id that each pose was placed from; its own at a root.
     """
 
-    ids: Ints
+    ids: Indices
     matrices: NDArray[np.float64]
-    root: Ints
-    parent: Ints
+    root: Indices
+    parent: Indices
 
     def __post_init__(self) -> None:
         freeze(self)
 
 
-def distinct(ids: Ints) -> Ints:
+def distinct(ids: Indices) -> Indices:
     """Return the ids that occur, ascending; by sorting, which for long arrays beats the hashing of `numpy.unique`."""
     ordered = np.sort(ids, axis=None)
     return ordered[np.concatenate([[True], np.diff(ordered) != 0])] if len(ordered) else ordered

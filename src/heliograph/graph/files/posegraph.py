@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Indices, freeze
 from heliograph.graph.files.odometry_start import distinct, odometry_start
 from heliograph.graph.files.row_kinds import KINDS, Role, numbers_of
 from heliograph.graph.files.tables import Table
@@ -22,8 +21,6 @@ from heliograph.lie import SE2, SE3
 
 __all__ = ["PoseGraphFile"]
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _FACTORS: tuple[Role, ...] = ("between", "landmark", "pose_prior", "position_prior")
 
@@ -48,8 +45,8 @@ class PoseGraphFile:
 
     dimension: int
     tables: tuple[Table, ...]
-    fixed: Ints
-    fixed_line: Ints
+    fixed: Indices
+    fixed_line: Indices
     others: tuple[tuple[int, str], ...] = ()
 
     def __post_init__(self) -> None:
@@ -59,8 +56,8 @@ class PoseGraphFile:
     def of(
         dimension: int,
         *,
-        edges: tuple[Ints, Ints, Array, Array] | None = None,
-        poses: tuple[Ints, Array] | None = None,
+        edges: tuple[Indices, Indices, Array, Array] | None = None,
+        poses: tuple[Indices, Array] | None = None,
         fixed: Iterable[int] = (),
     ) -> PoseGraphFile:
         """Return a pose graph from arrays.
@@ -93,25 +90,25 @@ class PoseGraphFile:
         return tuple(table for table in self.tables if table.kind.role in roles)
 
     @cached_property
-    def pose_ids(self) -> Ints:
+    def pose_ids(self) -> Indices:
         """All poses, whether a line gives their value or only a factor names them, ascending, (P,) int64."""
         parts = [table.ids[:, 0] for table in self.of_role("pose", "landmark", "pose_prior", "position_prior")]
         parts += [table.ids.ravel() for table in self.of_role("between")]
         return _union(parts)
 
     @cached_property
-    def point_ids(self) -> Ints:
+    def point_ids(self) -> Indices:
         """All landmarks, ascending, (Q,) int64."""
         return _union([t.ids[:, 0] for t in self.of_role("point")] + [t.ids[:, 1] for t in self.of_role("landmark")])
 
     @cached_property
-    def missing_ids(self) -> Ints:
+    def missing_ids(self) -> Indices:
         """Poses and landmarks that no line gives a value, ascending, (M,) int64."""
         given = _union([table.ids[:, 0] for table in self.of_role("pose", "point")])
         return _without(_union([self.pose_ids, self.point_ids]), given)
 
     @cached_property
-    def edges(self) -> tuple[Ints, Ints, SE2 | SE3]:
+    def edges(self) -> tuple[Indices, Indices, SE2 | SE3]:
         """All relative poses: ids i, ids j, (E,) each, and T_i_j as one batch, in the order of the file."""
         group = SE2 if self.dimension == 2 else SE3
         tables = self.of_role("between")
@@ -127,13 +124,13 @@ class PoseGraphFile:
         return sum(len(table) for table in self.of_role(*_FACTORS))
 
     @cached_property
-    def _start(self) -> tuple[Ints, Ints, Array]:
+    def _start(self) -> tuple[Indices, Indices, Array]:
         """All poses, the component of each (named by its lowest id), and their matrices by odometry."""
         i, j, T_i_j = self.edges
         start = odometry_start(i, j, T_i_j, self.pose_ids)
         return start.ids, self._joined(start.ids, start.root), start.matrices
 
-    def _joined(self, ids: Ints, root: Ints) -> Ints:
+    def _joined(self, ids: Indices, root: Indices) -> Indices:
         """Return component labels with those joined that see a common landmark."""
         tables = self.of_role("landmark")
         names, index = np.unique(root, return_inverse=True)
@@ -152,7 +149,7 @@ class PoseGraphFile:
             label = updated
 
     @cached_property
-    def gauge_ids(self) -> Ints:
+    def gauge_ids(self) -> Indices:
         """What is held: the FIX lines, and the lowest pose of each component that has neither those nor a prior."""
         ids, component, _ = self._start
         anchors = [self.fixed, *(t.ids[:, 0] for t in self.of_role("pose_prior", "position_prior"))]
@@ -174,7 +171,7 @@ class PoseGraphFile:
             values.insert(self.point_ids, self._points_from(ids, T))
         return values
 
-    def _placed(self, ids: Ints, component: Ints, T: Array) -> Array:
+    def _placed(self, ids: Indices, component: Indices, T: Array) -> Array:
         """Return the poses with each component moved to where its fixed poses or priors say."""
         known_ids = [t.ids[:, 0] for t in self.of_role("pose")]
         known = [t.matrices for t in self.of_role("pose")]
@@ -203,7 +200,7 @@ class PoseGraphFile:
             out[np.searchsorted(ids, name)] = said[name]
         return out
 
-    def _points_from(self, ids: Ints, T: Array) -> Array:
+    def _points_from(self, ids: Indices, T: Array) -> Array:
         """Return every landmark where the first pose that sees it has it; one that nobody sees where its line says."""
         points = np.zeros((len(self.point_ids), self.dimension))
         for table in self.of_role("point"):
@@ -289,7 +286,7 @@ def _shared(information: Array) -> Array:
     return information[0] if same else information
 
 
-def _without(ids: Ints, taken: Ints) -> Ints:
+def _without(ids: Indices, taken: Indices) -> Indices:
     """Return those of `ids` that are not in `taken`, both ascending."""
     if not len(taken):
         return ids
@@ -297,5 +294,5 @@ def _without(ids: Ints, taken: Ints) -> Ints:
     return np.asarray(ids[taken[at] != ids])
 
 
-def _union(parts: list[Ints]) -> Ints:
+def _union(parts: list[Indices]) -> Indices:
     return distinct(np.concatenate(parts)) if parts else np.empty(0, dtype=np.int64)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.files.posegraph import PoseGraphFile
 from heliograph.graph.files.row_kinds import KINDS, numbers_of
@@ -16,7 +16,6 @@ from heliograph.lie import SE2, SE3
 
 __all__ = ["pose_graph_of"]
 
-Array = NDArray[np.float64]
 
 _TAGS = {
     ("Between", "SE2"): "EDGE_SE2",

@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.lie import se2, se3, so2, so3
 
 __all__ = ["KINDS", "Layout", "Role", "RowKind", "matrices_of", "numbers_of"]
 
-Array = NDArray[np.float64]
 Role = Literal["pose", "point", "between", "landmark", "pose_prior", "position_prior"]
 Layout = Literal["xy_theta", "quaternion", "rpy", "point"]
 

@@ -7,17 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph import _core
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Indices, freeze
 from heliograph.errors import FormatError
 from heliograph.graph.files.row_kinds import KINDS, RowKind, matrices_of, numbers_of
 
 __all__ = ["Table", "as_kind", "first_indefinite", "parse_tables", "written"]
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _EXACT = 2.0**53  # up to here a double holds every whole number
 _NO_INTEGER = np.iinfo(np.int64).min
@@ -45,11 +42,11 @@ class Table:
     """
 
     kind: RowKind
-    ids: Ints
+    ids: Indices
     numbers: Array
     information: Array
-    parameter: Ints
-    line: Ints
+    parameter: Indices
+    line: Indices
 
     def __post_init__(self) -> None:
         for name in ("ids", "numbers", "information", "parameter", "line"):
@@ -64,7 +61,7 @@ class Table:
         """The rows' poses as homogeneous matrices, (N, k, k); for poses, priors and relative poses."""
         return matrices_of(self.kind, self.numbers)
 
-    def text(self) -> tuple[bytes, Ints]:
+    def text(self) -> tuple[bytes, Indices]:
         """Return the rows as lines and the offsets (N + 1) between them."""
         kind = self.kind
         integers = np.concatenate([self.ids, self.parameter[:, None]], axis=1) if kind.parameter else self.ids
@@ -75,7 +72,7 @@ class Table:
 
     @staticmethod
     def of(
-        kind: RowKind, ids: Ints, numbers: Array, information: Array | None = None, line: Ints | None = None
+        kind: RowKind, ids: Indices, numbers: Array, information: Array | None = None, line: Indices | None = None
     ) -> Table:
         """Return a table of rows that come from no file, or from other lines."""
         n = len(ids)
@@ -150,7 +147,9 @@ def parse_tables(path: Path, data: bytes) -> tuple[list[Table], list[tuple[int, 
     return tables, others
 
 
-def _table(path: Path, kind: RowKind, line: Ints, integers: Ints, first: Ints, rows: Ints, numbers: Array) -> Table:
+def _table(
+    path: Path, kind: RowKind, line: Indices, integers: Indices, first: Indices, rows: Indices, numbers: Array
+) -> Table:
     """Return the table of one kind from the numbers of its rows."""
     count = first[rows + 1] - first[rows]
     if (count != kind.words).any():

@@ -8,15 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Indices, freeze
 from heliograph.errors import ConfigError
 from heliograph.graph.files.posegraph import PoseGraphFile
 from heliograph.lie import SE2, SE3, se2, se3, so2, so3
 
 __all__ = ["World", "drive", "grid_walk", "manhattan", "sphere", "torus", "uneven", "with_false_loops"]
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _TURNS = np.array([0, 1, -1])
 _RECENT = 10  # poses back to which no loop is closed: odometry says the same
@@ -41,8 +39,8 @@ class World:
     """
 
     truth: SE2 | SE3
-    i: Ints
-    j: Ints
+    i: Indices
+    j: Indices
     T_i_j: SE2 | SE3
     information: Array
     false: NDArray[np.bool_]
@@ -262,14 +260,14 @@ def _check(poses: int, sigmas: tuple[float, float]) -> None:
         raise ConfigError(f"sigmas {sigmas} must be positive: the information is their inverse square")
 
 
-def _folded(moves: Ints, side: Ints) -> Ints:
+def _folded(moves: Indices, side: Indices) -> Indices:
     """Return the cells of a walk that is thrown back at the edges of [0, side] along each axis, side (d,)."""
     start = np.zeros((1, moves.shape[1]), dtype=np.int64)
     free = np.concatenate([start, np.cumsum(moves, axis=0)])
     return np.asarray(side - np.abs(free % (2 * side) - side))
 
 
-def _direction(cells: Ints) -> Ints:
+def _direction(cells: Indices) -> Indices:
     """Return the direction from which each cell was reached: axis, or axis + d against it; the first looks along x."""
     d = cells.shape[1]
     step = np.diff(cells, axis=0)
@@ -289,7 +287,7 @@ _LOOKING = np.stack(
 )
 
 
-def _loops(cells: Ints, per_pose: float, rng: np.random.Generator) -> tuple[Ints, Ints]:
+def _loops(cells: Indices, per_pose: float, rng: np.random.Generator) -> tuple[Indices, Indices]:
     """Return loops (earlier, later): each to the last visit of the same cell or of a neighbouring one."""
     n, d = cells.shape
     offset = np.zeros((n, d), dtype=np.int64)
@@ -319,7 +317,7 @@ def _from_first(T: SE2 | SE3) -> SE2 | SE3:
     return type(T)(T[0].inverse().matrix @ T.matrix)
 
 
-def _measured(truth: SE2 | SE3, i: Ints, j: Ints, sigmas: tuple[float, float], rng: np.random.Generator) -> World:
+def _measured(truth: SE2 | SE3, i: Indices, j: Indices, sigmas: tuple[float, float], rng: np.random.Generator) -> World:
     """Return the world of these poses with odometry and the given loops measured."""
     n = len(truth)
     first = np.concatenate([np.arange(n - 1), i])

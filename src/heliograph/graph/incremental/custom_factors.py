@@ -9,12 +9,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.families import Family
 
 __all__ = ["CustomFactors", "CustomKind", "Evaluated"]
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 Point: TypeAlias = Callable[[Ints], Array]  # packed values of variables, one after another
 Evaluated: TypeAlias = tuple[Ints, Array, list[Array]]  # numbers, residuals and Jacobians, each flat

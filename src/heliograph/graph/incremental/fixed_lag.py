@@ -6,8 +6,9 @@ import heapq
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.incremental.isam2 import ISAM2
 from heliograph.graph.incremental.settings import ISAM2Settings
@@ -18,8 +19,6 @@ from heliograph.graph.model.records import as_keys
 from heliograph.graph.model.values import Values
 
 __all__ = ["FixedLagSmoother"]
-
-Array = NDArray[np.float64]
 
 
 class FixedLagSmoother:

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.incremental.budget import Budget, Policy
 from heliograph.graph.incremental.cliques import CliqueRecord, clique_records
@@ -23,8 +23,6 @@ from heliograph.graph.model.families import Value
 from heliograph.graph.model.values import Values
 
 __all__ = ["ISAM2"]
-
-Array = NDArray[np.float64]
 
 
 class ISAM2:

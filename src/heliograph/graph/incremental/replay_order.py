@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Indices
 from heliograph.errors import GraphError
 from heliograph.graph.model.factor_graph import Added, FactorGraph
 from heliograph.graph.model.noise import FULL
@@ -17,7 +18,6 @@ from heliograph.lie import SE2, SE3
 
 __all__ = ["ReplayOrder", "Source"]
 
-Ints = NDArray[np.int64]
 
 _KINDS = ("Between", "Prior", "Landmark", "Position")
 
@@ -146,11 +146,11 @@ class ReplayOrder:
         """Yield the starts of each step's variables, in the order in which they can be computed."""
         return (tuple(sources) for sources in self._from)
 
-    def steps_of(self, keys: Ints) -> Ints:
+    def steps_of(self, keys: Indices) -> Indices:
         """Return the steps (N,) in which variables arrive."""
         return np.array([self._step.get(key, -1) for key in keys.tolist()], dtype=np.int64)
 
-    def step_of_factors(self) -> Ints:
+    def step_of_factors(self) -> Indices:
         """Return the step (N,) of every factor: that of its last variable."""
         steps = [self.steps_of(a.record.keys.reshape(-1)).reshape(a.record.keys.shape) for a in self._graph.groups()]
         return np.concatenate([s.max(axis=1) for s in steps]) if steps else np.zeros(0, dtype=np.int64)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
+from heliograph.arrays import Array
 from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.diagnosis.diagnosis import diagnose
 from heliograph.graph.incremental.budget import UNBOUNDED, Budget
@@ -24,7 +25,6 @@ from heliograph.graph.model.values import Values
 
 __all__ = ["TreeState"]
 
-Array = NDArray[np.float64]
 Ints = NDArray[np.int32]
 # What tells kinds of factors apart: type, own class, families, form of noise, kernel, rows, shapes of the data.
 KindName: TypeAlias = tuple[

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.graph.model.families import Family
 from heliograph.lie import S2, s2
 
 __all__ = ["MAX_ROWS", "central_differences", "keep_memory"]
 
-Array = NDArray[np.float64]
 
 # The cube root of the rounding error balances rounding against truncation.
 _STEP = float(np.cbrt(np.finfo(np.float64).eps))

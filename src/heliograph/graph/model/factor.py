@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.model.differences import central_differences, keep_memory
 from heliograph.graph.model.families import FAMILIES, Family, family_named, stacked
@@ -18,7 +19,6 @@ from heliograph.graph.model.records import FactorRecord, key_columns
 
 __all__ = ["Factor"]
 
-Array = NDArray[np.float64]
 Namer = Callable[[int], str]
 
 _MOST_VARIABLES = 8  # the native kernels have room for so many

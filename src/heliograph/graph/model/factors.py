@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.model.families import FAMILIES, Family, Value, vectors
 from heliograph.graph.model.kernels import Kernel
@@ -19,7 +20,6 @@ from heliograph.lie import S2, SE2, SE3, SO2, ExtendedPose
 
 __all__ = ["Bearing", "Between", "Landmark", "LinearMotion", "Position", "Prior", "Range"]
 
-Array = NDArray[np.float64]
 
 # What has a frame to look from, and what has a place to be seen at, by the dimension of the space.
 _POSES = {2: (FAMILIES[SE2],), 3: (FAMILIES[SE3], FAMILIES[ExtendedPose])}

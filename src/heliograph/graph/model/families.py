@@ -10,13 +10,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose
 from heliograph.lie import s2 as s2_ops
 
 __all__ = ["FAMILIES", "LARGEST_VECTOR", "Family", "Value", "family_named", "family_of", "stacked", "vectors"]
 
-Array = NDArray[np.float64]
 Value: TypeAlias = Any  # a lie value (one or a batch), or an array of vectors (..., d)
 
 LARGEST_VECTOR = 16  # the native kernels have room for so many degrees of freedom in one variable

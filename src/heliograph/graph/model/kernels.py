@@ -16,13 +16,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 
 __all__ = ["DCS", "Cauchy", "GemanMcClure", "Huber", "Kernel", "TruncatedLeastSquares", "Tukey"]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

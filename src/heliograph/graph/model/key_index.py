@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from heliograph.arrays import Keys
 
 __all__ = ["KeyIndex", "first_duplicate"]
 
-Keys = NDArray[np.int64]
 
 # Fewer keys than this are added to a dictionary, so that a loop of single insertions does not sort over and over.
 _FEW = 64

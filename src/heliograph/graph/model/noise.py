@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.errors import GraphError
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "Whitening",
 ]
 
-Array = NDArray[np.float64]
 Namer = Callable[[int], str]
 
 SCALAR, DIAGONAL, FULL = 0, 1, 2  # the forms of S, as the native side numbers them

@@ -7,15 +7,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import Array, Keys
 from heliograph.errors import GraphError
 from heliograph.graph.model.families import Family, Value, stacked
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.noise import Noise
 
 __all__ = ["FactorRecord", "NativeRecord", "as_keys", "as_measurement", "key_columns", "key_list"]
-
-Array = NDArray[np.float64]
-Keys = NDArray[np.int64]
 
 
 def as_keys(keys: ArrayLike) -> Keys:

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Indices
 from heliograph.graph.model.factor_graph import Added, FactorGraph
 from heliograph.graph.model.noise import Whitening
 from heliograph.graph.model.records import FactorRecord
 
 __all__ = ["split", "subgraph"]
-
-Indices = NDArray[np.int64]
 
 
 def subgraph(

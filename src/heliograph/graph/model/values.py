@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph.arrays import Array, Keys
 from heliograph.errors import GraphError
 from heliograph.graph.model.families import Family, Value, family_named, stacked
 from heliograph.graph.model.key_index import KeyIndex
@@ -15,8 +16,6 @@ from heliograph.graph.model.records import as_keys, key_list
 
 __all__ = ["Values"]
 
-Array = NDArray[np.float64]
-Keys = NDArray[np.int64]
 
 # A code is the number of the family and, below these bits, the place within it.
 _SHIFT = 40

@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph import _core
 from heliograph._core import GraphProblem
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, Indices, freeze
 from heliograph.graph.model.noise import FULL, SCALAR, Information
 from heliograph.graph.problem.settings import ORDERINGS
 
 __all__ = ["Anchors", "Differences", "connected", "solve_linear"]
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _PRIOR, _LINEAR_MOTION = 1, 7  # codes of factors
 

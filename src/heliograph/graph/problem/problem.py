@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.families import Family
@@ -17,8 +18,6 @@ from heliograph.graph.problem.resolve import ResolvedGroup, resolve, resolve_fix
 from heliograph.graph.problem.settings import ORDERINGS
 
 __all__ = ["Cost", "Problem"]
-
-Array = NDArray[np.float64]
 
 
 class Cost(NamedTuple):

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.errors import GraphError
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import Added, FactorGraph
@@ -21,7 +21,6 @@ from heliograph.graph.model.values import Values
 
 __all__ = ["ResolvedGroup", "gather", "resolve", "resolve_fixed"]
 
-Array = NDArray[np.float64]
 Number = TypeVar("Number", np.float64, np.int64)
 
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import FilterConfig
 from heliograph.data import NavState, OnlineCalibration, Rig
 from heliograph.data.error_layout import (
@@ -44,8 +43,6 @@ __all__ = [
     "uncertain_rig",
     "with_calibration",
 ]
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

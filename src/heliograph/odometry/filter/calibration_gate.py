@@ -11,9 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import FilterConfig
 from heliograph.data import NavState, OnlineCalibration
 from heliograph.data.error_layout import CALIBRATION, CLOCK, DRIFT, MOUNTING
@@ -22,7 +21,6 @@ from heliograph.odometry.filter.update import Linearization, embedded
 
 __all__ = ["CalibrationGate"]
 
-Array = NDArray[np.float64]
 
 _MEASURED = slice(MOUNTING.start, CLOCK + 1)  # what scans measure; the drift only changes one of them with time
 

@@ -11,15 +11,14 @@ the account is cautious after a loop.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.data import NavState
 from heliograph.data.error_layout import POSE, POSITION, ROTATION
 from heliograph.lie import so3
 
 __all__ = ["MapDrift"]
 
-Array = NDArray[np.float64]
 
 _SYSTEMATIC_LEVER = 6.0
 """Distance at which a systematic turn and a systematic shift move points alike [m]."""

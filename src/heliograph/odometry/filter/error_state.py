@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.data import NavState
 from heliograph.data.error_layout import (
     ACCEL_BIAS,
@@ -28,8 +28,6 @@ from heliograph.data.error_layout import (
 from heliograph.lie import s2, so3
 
 __all__ = ["local", "mounting_error", "reset_jacobian", "retract"]
-
-Array = NDArray[np.float64]
 
 
 def retract(state: NavState, delta: Array) -> NavState:

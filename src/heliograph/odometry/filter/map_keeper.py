@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.config import FilterConfig
 from heliograph.data import NavState
 from heliograph.maps import LocalMap
@@ -12,7 +13,6 @@ from heliograph.odometry.filter.drift import MapDrift
 
 __all__ = ["MapKeeper"]
 
-Array = NDArray[np.float64]
 
 _PRUNE_DISTANCE = 10.0  # the map is pruned when the sensor has gone this far [m]
 

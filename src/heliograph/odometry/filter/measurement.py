@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.data.error_layout import CLOCK, GYRO_BIAS, MOUNTING, POSE, VELOCITY
 from heliograph.registration import NormalEquations
 
 __all__ = ["ScanMeasurement"]
 
-Array = NDArray[np.float64]
 
 _ERRORS = {"pose": POSE, "motion": slice(VELOCITY.start, GYRO_BIAS.stop), "mounting": MOUNTING}
 """Which errors the registration's blocks are."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import freeze
+from heliograph.arrays import Array, freeze
 from heliograph.config import FilterConfig, RunConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState, Rig, Scan, ScanResult, Trajectory
 from heliograph.data.error_layout import (
@@ -42,7 +42,6 @@ __all__ = [
     "with_sigma",
 ]
 
-Array = NDArray[np.float64]
 
 NO_IMU = ImuBatch(stamps_ns=np.zeros(0, np.int64), gyro=np.zeros((0, 3)), accel=np.zeros((0, 3)), received_ns=0)
 

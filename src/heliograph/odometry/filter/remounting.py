@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.data import NavState
 from heliograph.data.error_layout import GRAVITY, MOUNTING, POSE, ROTATION, VELOCITY
 from heliograph.lie import s2, so3
@@ -14,7 +14,6 @@ from heliograph.odometry.filter.error_state import mounting_error
 
 __all__ = ["anchoring", "bend", "is_bent", "widened"]
 
-Array = NDArray[np.float64]
 
 # Such a change of the mounting is felt in the map: at 15 m it is a range's noise, and within a sweep a tenth of it.
 _BENT_ROTATION, _BENT_LEVER = 5e-4, 0.003  # [rad], [m]

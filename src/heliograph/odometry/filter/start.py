@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.config import RunConfig
 from heliograph.data import Event, ImuBatch, NavState, Rig, StartAccount
 from heliograph.data.error_layout import (
@@ -40,7 +40,6 @@ from heliograph.odometry.sequencer import Packet
 
 __all__ = ["FilterStart", "FirstLook", "find_start", "look"]
 
-Array = NDArray[np.float64]
 
 _REST_SPEED_SIGMA = 0.02  # [m/s]
 _REST_RATE_FLOOR, _REST_UP_FLOOR = 1e-4, 2e-3  # added to what rest shows of bias and force [rad/s], [m/s^2]

@@ -15,13 +15,12 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.data import NavState
 from heliograph.data.error_layout import POSE, POSITION, ROTATION
 from heliograph.odometry.filter.error_state import local, reset_jacobian, retract
 
 __all__ = ["FilterUpdate", "Linearization", "embedded", "iterated_update"]
-
-Array = NDArray[np.float64]
 
 
 class Linearization(Protocol):
