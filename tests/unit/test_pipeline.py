@@ -97,6 +97,16 @@ def test_run_defect_in_the_odometry_saves_first_and_then_raises_it():
     assert sink.summary.scans == 4
 
 
+@pytest.mark.parametrize("field", ["covariance", "T_odom_imu", "v_odom", "points_imu"])
+def test_run_stops_a_sink_that_writes_into_a_result(field):
+    class Vandal(Collector):
+        def add(self, result):
+            getattr(result, field)[:] = 1e6
+
+    with pytest.raises(ValueError, match="read-only"):
+        run(FakeRecording(3), RunConfig(threads=1), sinks=[Vandal()], odometry=FakeOdometry())
+
+
 def test_run_without_any_scan_is_an_error_that_names_info():
     with pytest.raises(DataError, match="heliograph info"):
         run(FakeRecording(0), RunConfig(threads=1), odometry=FakeOdometry())
