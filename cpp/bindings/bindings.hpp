@@ -41,7 +41,7 @@ struct TupleType {
 template <typename... Parts>
 Tuple named(TupleType& type, Parts&&... parts) {
   if (type.made == nullptr)
-    type.made = nb::module_::import_("collections").attr("namedtuple")(type.name, type.fields).release().ptr();
+    type.made = nb::module_::import_("collections").attr("namedtuple")(type.name, type.fields, nb::arg("module") = "heliograph._core").release().ptr();
   return nb::borrow<Tuple>(nb::handle(type.made)(std::forward<Parts>(parts)...));
 }
 

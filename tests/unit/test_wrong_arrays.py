@@ -114,17 +114,24 @@ def cloud_calls():
         T_body_lidar=pose,
     )
     yield call("VoxelMap.prune", lambda centre_odom: filled_map().prune(centre_odom), centre_odom=np.zeros(3))
-    yield call("VoxelMap.planes_at", filled_map().planes_at, {"gate": 0.5}, points_odom=CLOUD.astype(float))
+    yield call(
+        "VoxelMap.planes_at",
+        lambda points_odom: filled_map().planes_at(points_odom, gate=0.5),
+        points_odom=CLOUD.astype(float),
+    )
     insert = {"points_imu": CLOUD, "intensity": CLOUD[:, 0].copy(), "T_map_imu": pose}
     yield call("GlobalMap.insert", lambda **arrays: GlobalMap(0.1).insert(**arrays), **insert)
-    rest = {"local_map": filled_map(), "settings": SETTINGS}
     match = {"points_imu": CLOUD, "T_odom_imu": pose, "T_imu_lidar": pose, "before_end": CLOUD[:, 0].copy()}
-    yield call("linearize", linearize, rest, **match)
-    yield call("gradient_scatter", gradient_scatter, rest, points=CLOUD, T_odom_body=pose)
+    yield call("linearize", lambda **arrays: linearize(filled_map(), settings=SETTINGS, **arrays), **match)
+    scatter = {"points": CLOUD, "T_odom_body": pose}
+    yield call(
+        "gradient_scatter", lambda **arrays: gradient_scatter(filled_map(), settings=SETTINGS, **arrays), **scatter
+    )
     yield call(
         "map_sharpness", map_sharpness, points=np.random.default_rng(1).uniform(0, 2, (2000, 3)).astype(np.float32)
     )
-    yield call("align", align, T_estimate=POSES, T_reference=POSES)
+    path = se3.exp(np.random.default_rng(1).normal(size=(5, 6)))
+    yield call("align", align, T_estimate=path, T_reference=path)
 
 
 def record_calls():
@@ -226,7 +233,11 @@ def test_what_is_no_array_of_numbers_is_refused_by_name(case):
         (so3.log, (np.zeros((5, 2)),), r"R has shape \(5, 2\), expected real numbers \(\.\.\., 3, 3\)"),
         (so3.exp, (None,), "phi has dtype object, expected real numbers"),
         (se3.compose, (POSES, np.tile(np.eye(4), (3, 1, 1))), r"T_a_b and T_b_c have shapes .* broadcast"),
-        (VoxelMap().insert, (CLOUD, np.full((4, 4), np.nan)), "T_odom_body holds 16 values that are not finite"),
+        (
+            lambda *arrays: VoxelMap().insert(*arrays),
+            (CLOUD, np.full((4, 4), np.nan)),
+            "T_odom_body holds 16 values that are not finite",
+        ),
         (interpolate_se3, (STAMPS * 1.5, POSES, STAMPS), "stamps_ns has dtype float64, expected whole nanoseconds"),
     ],
 )

@@ -139,7 +139,7 @@ def retract(X: ArrayLike, d: ArrayLike) -> Array:
     """Return ``X @ exp(d)``."""
     x, v = as_batch("X", X, (5, 5)), as_batch("d", d, (9,))
     match("X and d", x.shape[:-2], v.shape[:-1])
-    return x @ exp(v)
+    return np.asarray(x @ exp(v))
 
 
 def local(X_a: ArrayLike, X_b: ArrayLike) -> Array:

@@ -79,7 +79,7 @@ def retract(R: ArrayLike, d: ArrayLike) -> Array:
     """Return ``R @ exp(d)``."""
     r, v = as_batch("R", R, (2, 2)), as_batch("d", d, (1,))
     match("R and d", r.shape[:-2], v.shape[:-1])
-    return r @ exp(v)
+    return np.asarray(r @ exp(v))
 
 
 def local(R_a: ArrayLike, R_b: ArrayLike) -> Array:

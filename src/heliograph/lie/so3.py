@@ -162,14 +162,14 @@ def inverse(R: ArrayLike) -> Array:
 
 def adjoint(R: ArrayLike) -> Array:
     """Return Ad with ``R exp(d) = exp(Ad d) R``, which for rotations is R itself."""
-    return as_batch("R", R, (3, 3)).copy()
+    return np.array(as_batch("R", R, (3, 3)))
 
 
 def retract(R: ArrayLike, d: ArrayLike) -> Array:
     """Return ``R @ exp(d)``."""
     r, v = as_batch("R", R, (3, 3)), as_batch("d", d, (3,))
     match("R and d", r.shape[:-2], v.shape[:-1])
-    return r @ exp(v)
+    return np.asarray(r @ exp(v))
 
 
 def local(R_a: ArrayLike, R_b: ArrayLike) -> Array:
