@@ -111,7 +111,6 @@ def cloud_calls():
         lambda **arrays: VoxelMap().insert(**arrays),
         points_body=CLOUD,
         T_odom_body=pose,
-        T_body_lidar=pose,
     )
     yield call("VoxelMap.prune", lambda centre_odom: filled_map().prune(centre_odom), centre_odom=np.zeros(3))
     yield call(
@@ -121,7 +120,7 @@ def cloud_calls():
     )
     insert = {"points_imu": CLOUD, "intensity": CLOUD[:, 0].copy(), "T_map_imu": pose}
     yield call("GlobalMap.insert", lambda **arrays: GlobalMap(0.1).insert(**arrays), **insert)
-    match = {"points_imu": CLOUD, "T_odom_imu": pose, "T_imu_lidar": pose, "before_end": CLOUD[:, 0].copy()}
+    match = {"points_imu": CLOUD, "T_odom_imu": pose, "before_end": CLOUD[:, 0].copy()}
     yield call("linearize", lambda **arrays: linearize(filled_map(), settings=SETTINGS, **arrays), **match)
     scatter = {"points": CLOUD, "T_odom_body": pose}
     yield call(
@@ -146,7 +145,7 @@ def record_calls():
 
 
 CALLS = [*lie_calls(), *cloud_calls(), *record_calls()]
-OPTIONAL = {("VoxelMap.insert", "T_body_lidar"), ("GlobalMap.insert", "intensity"), ("linearize", "before_end")}
+OPTIONAL = {("GlobalMap.insert", "intensity"), ("linearize", "before_end")}
 OPTIONAL |= {("Scan", "intensity"), ("GnssFix", "covariance_enu")}
 
 
@@ -251,7 +250,7 @@ def test_points_that_are_not_finite_are_as_if_not_there():
     assert np.array_equal(voxel_downsample(holed, 0.4), voxel_downsample(CLOUD, 0.4))
     assert np.array_equal(range_gate(holed, 0.0, 9.0), range_gate(CLOUD, 0.0, 9.0))
     assert np.array_equal(filled_map().planes_at(holed.astype(float), gate=0.5).source[40:], np.zeros(5))
-    with_holes, whole = (linearize(filled_map(), cloud, np.eye(4), np.eye(4), SETTINGS) for cloud in (holed, CLOUD))
+    with_holes, whole = (linearize(filled_map(), cloud, np.eye(4), SETTINGS) for cloud in (holed, CLOUD))
     assert np.array_equal(with_holes.information, whole.information)
     assert with_holes.matches == whole.matches
     averaged = [GlobalMap(0.1), GlobalMap(0.1)]
