@@ -10,20 +10,32 @@ import numpy as np
 import pytest
 
 import heliograph
-from heliograph.checks.records import ImuRecord, LidarMotion
+from heliograph.checks.records import CheckedMotion
 from heliograph.data import GnssFix, ImuBatch, Rig, Scan, Trajectory
+from heliograph.data.imu_record import ImuRecord
 from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose
+from heliograph.maps.global_map import MapCells
+from heliograph.output.final_poses import FinalPoses
+from heliograph.output.submaps import Submap
+from heliograph.registration.linearize import MapMounting
 from heliograph.sim.world import Primitive
 
 ARRAY = re.compile(r"\b(NDArray|ndarray|Array|Stamps|Indices|Ints|Keys|Points|Mask|Order|Flags)\b")
 STAMPS, POSES = np.arange(2), np.tile(np.eye(4), (2, 1, 1))
 PATH = Trajectory(stamps_ns=STAMPS, T_frame_body=POSES)
 
+CELLS = MapCells(
+    cubes=np.zeros((2, 3), np.int32),
+    sums=np.zeros((2, 3), np.float32),
+    intensity=np.zeros(2, np.float32),
+    counts=np.ones(2, np.float32),
+)
+
 # Records that check their fields need fields that fit; all others take any.
 CHECKED = {
     ImuBatch: {"stamps_ns": STAMPS, "gyro": np.zeros((2, 3)), "accel": np.zeros((2, 3))},
     ImuRecord: {"stamps_ns": STAMPS, "received_ns": STAMPS.copy(), "gyro": np.zeros((2, 3)), "accel": np.zeros((2, 3))},
-    LidarMotion: {"trajectory": PATH, "tracked": np.zeros(2, bool)},
+    CheckedMotion: {"trajectory": PATH, "tracked": np.zeros(2, bool)},
     Trajectory: {"stamps_ns": STAMPS, "T_frame_body": POSES},
     GnssFix: {"covariance_enu": np.eye(3)},
     Rig: {"T_imu_lidar": np.eye(4)},
@@ -39,6 +51,10 @@ CHECKED = {
     SE2: {"matrix": np.eye(3)},
     SE3: {"matrix": np.eye(4)},
     ExtendedPose: {"matrix": np.eye(5)},
+    MapMounting: {"T_imu_lidar": np.eye(4), "T_odom_imu_first": np.eye(4)},
+    MapCells: {name: getattr(CELLS, name).copy() for name in ("cubes", "sums", "intensity", "counts")},
+    FinalPoses: {"stamps_ns": STAMPS, "T_odom_imu": POSES.copy(), "T_map_imu": POSES.copy()},
+    Submap: {"T_odom_imu": np.eye(4), "cells": CELLS},
     S2: {"vector": np.ones(3)},
 }
 ABSTRACT = {"MatrixGroup", "_Rigid", "FactorRecord"}
