@@ -26,7 +26,7 @@ class ScanToMap(Odometry):
         T = se3.retract(before, self.step)
         points_imu = np.float32(se3.act(self.T_imu_lidar, message.points[voxel_downsample(message.points, 0.5)]))
         for _ in range(10 if self.last else 0):
-            normal = linearize(self.map, points_imu, T, self.T_imu_lidar, self.match)
+            normal = linearize(self.map, points_imu, T, self.match)
             d = -np.linalg.solve(normal.information + 1e-9 * np.eye(6), normal.gradient)
             T = se3.retract(T, [*d[:3], *T[:3, :3].T @ d[3:]])
         self.last = pose_result(message, self.count, T, before=self.last, T_imu_lidar=self.T_imu_lidar)

@@ -22,6 +22,7 @@ _RAMP_SHOWN_SIGMAS, _RAMP_BOUND_SIGMAS = 3.0, 1.645
 _SLOW_TERMS = ("flicker", "walk")
 _TOP_OCTAVES = 4  # that may be given up where the sensor's filter bends the spectrum
 _TOP_MISFIT = 0.15  # by how much an octave may miss the fit
+_MIN_RATIO = 1e-12  # power of an octave by that of the fit, where there is none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,7 +149,9 @@ def _trimmed(bands: Bands) -> tuple[Bands, Fit, bool]:
 
 def _worst(bands: Bands, fit: Fit) -> float:
     """Return the largest difference of an octave from the fit that is not chance; too much counts like too little."""
-    return max((abs(float(np.log1p(miss))) for _, miss in _octaves(bands, fit)), default=0.0)
+    # An octave without any power, as a constant channel's, is as wrong as can be, but not infinitely.
+    ratios = (max(1.0 + miss, _MIN_RATIO) for _, miss in _octaves(bands, fit))
+    return max((abs(float(np.log(ratio))) for ratio in ratios), default=0.0)
 
 
 def _selected(bands: Bands, names: Sequence[str]) -> tuple[Fit, bool]:
