@@ -43,7 +43,7 @@ Stamps: TypeAlias = NDArray[np.int64]
 """(N,) [ns]."""
 Indices: TypeAlias = NDArray[np.int64]
 Keys: TypeAlias = NDArray[np.int64]
-"""Of a graph's variables."""
+"""(N,), the variables of a graph."""
 Mask: TypeAlias = NDArray[np.bool_]
 Shape: TypeAlias = tuple[int | None, ...]
 """Required shape of an array; None leaves a length free."""

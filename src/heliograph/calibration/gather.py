@@ -15,7 +15,7 @@ from heliograph.data import GnssFix, ImuBatch, Scan
 from heliograph.errors import DataError
 from heliograph.odometry.follow import follow_lidar
 
-__all__ = ["Evidence", "gather", "refined", "thinned"]
+__all__ = ["CalibrationData", "gather", "refined", "thinned"]
 
 Message: TypeAlias = Scan | ImuBatch | GnssFix
 
@@ -24,7 +24,7 @@ _EVENNESS = 0.2  # by which share neighbouring sample periods may differ for a c
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Evidence:
+class CalibrationData:
     """The data of a calibration.
 
     Parameters
@@ -55,7 +55,7 @@ class Evidence:
         return (self.scans[-1].end_ns - self.scans[0].stamp_ns) * 1e-9
 
 
-def gather(stream: Iterable[Message], config: RunConfig, *, threads: int = 1) -> Evidence:
+def gather(stream: Iterable[Message], config: RunConfig, *, threads: int = 1) -> CalibrationData:
     """Read a recording and run the LiDAR alone over it.
 
     Parameters
@@ -94,7 +94,7 @@ def gather(stream: Iterable[Message], config: RunConfig, *, threads: int = 1) ->
             f"{len(ends)} scans that match each other and {samples} inertial samples are too few to calibrate with "
             f"(at least {_MIN_SCANS} of each); record some 30 s of motion before walls that the LiDAR sees well"
         )
-    return Evidence(
+    return CalibrationData(
         scans=tuple(scans[end] for end in ends),
         imu=ImuBatch.joined(batches),
         T_odom_lidar=np.stack([poses[end] for end in ends]),

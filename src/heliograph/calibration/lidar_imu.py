@@ -10,7 +10,7 @@ import numpy as np
 from heliograph.arrays import Array, freeze
 from heliograph.calibration.batch import Estimate, sampled_at
 from heliograph.calibration.coarse import align_turns
-from heliograph.calibration.gather import Evidence, Message, gather, refined
+from heliograph.calibration.gather import CalibrationData, Message, gather, refined
 from heliograph.calibration.observability import (
     CalibratedAxis,
     Observed,
@@ -170,7 +170,7 @@ def _for_rig(config: RunConfig, rig: Rig) -> RunConfig:
 class _Run:
     """The steps of one calibration, on its data."""
 
-    evidence: Evidence
+    evidence: CalibrationData
     config: RunConfig
     noise: ImuNoise
     threads: int

@@ -32,7 +32,7 @@ class TermEstimate:
     Parameters
     ----------
     name : str
-        Of `heliograph.imu.noise_terms.TERMS`, or ``"ramp"``.
+        One of `heliograph.imu.noise_terms.TERMS`, or ``"ramp"``.
     value : float or None
         In the units of IEEE 952, SI; None where the record does not show the term.
     sigma : float or None

@@ -182,7 +182,7 @@ def preintegrate(
     Returns
     -------
     Preintegration
-        Of N intervals; N = 1 for single stamps.
+        Motion over N intervals; N = 1 for single stamps.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class WhiteFloor:
     calm : float
         Share of the record that the floors were read from: what was not shaken.
     frequency : (k,) float64
-        Of ``spectrum`` [Hz].
+        Frequencies of ``spectrum`` [Hz].
     spectrum : (k, 6) float64
         Mean density over the calm windows, as ``density``.
     """

@@ -64,7 +64,7 @@ class PacketContext:
     files : tuple of Path
         The recording's files; metadata may lie beside them.
     topics : tuple of TopicInfo
-        Of the recording.
+        Topics of the recording.
     texts : mapping of str to str
         Topic -> content of the first ``std_msgs/String`` on it (Ouster's metadata).
     """

@@ -86,7 +86,7 @@ class GlobalMap:
         Parameters
         ----------
         cells : MapCells
-            Of the map in its own frame, here called odom.
+            Cells of the map in its own frame, here called odom.
         T_map_odom : (4, 4) float64, optional
             That frame in this map's. The mean of each cell goes, with its weight, into the cube where it comes to lie.
             By default the frames are one, and cell is added to cell.

@@ -34,11 +34,11 @@ def pose_result(
     T_odom_imu : (4, 4) float64
         Pose at the scan's end [m].
     before : ScanResult, optional
-        Of the scan before: the path begins at its end, the velocity is the mean one since then.
+        Result of the scan before: the path begins at its end, the velocity is the mean one since then.
     T_imu_lidar : (4, 4) float64, optional
         Mounting; by default the frames are one.
     covariance : (6, 6) float64, optional
-        Of rotation (body) and position (odom); zero by default.
+        Covariance of rotation (body) and position (odom); zero by default.
     status : ScanStatus
         As in `ScanResult`.
     """

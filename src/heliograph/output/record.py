@@ -24,7 +24,7 @@ class RunRecord:
     Parameters
     ----------
     name : str
-        Of the recording.
+        The recording's name.
     folder : Path
         Where the files lie.
     summary : RunSummary
@@ -34,7 +34,7 @@ class RunRecord:
     points_map : (N, 3) float32
         The map [m]; empty without a LiDAR.
     intensity : (N,) float32 or None
-        Of those points.
+        Intensity of those points.
     facts : mapping
         What ``run.json`` says so far: recording, inferences, versions.
     config : str

@@ -47,7 +47,7 @@ class RunFolder(Sink):
     path : Path
         The folder; made if absent.
     name : str
-        Of the recording.
+        The recording's name.
     config : str
         The resolved configuration as TOML, written as ``config.toml``.
     output : OutputConfig
