@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array, Keys, freeze
 from heliograph.graph.diagnosis.world_motions import WorldMotions, describe_motions, world_motions
 from heliograph.graph.model.families import Family
+from heliograph.graph.model.symbols import key_name
 from heliograph.lie import S2, SO2, SO3
 
 __all__ = ["FreeMotion", "describe_free", "key_ranges", "named_keys", "remedy_for"]
@@ -81,7 +82,8 @@ def key_ranges(keys: Keys) -> str:
     ends = np.concatenate([starts[1:], [len(ordered)]]) - 1
     runs: list[str] = []
     for a, b in zip(ordered[starts[:_MOST_RUNS]].tolist(), ordered[ends[:_MOST_RUNS]].tolist(), strict=True):
-        runs.append(str(a) if a == b else f"{a}, {b}" if b == a + 1 else f"{a}-{b}")
+        first, last = key_name(a), key_name(b)
+        runs.append(first if a == b else f"{first}, {last}" if b == a + 1 else f"{first}-{last}")
     more = f" ... ({len(ordered)} in all)" if len(starts) > _MOST_RUNS else ""
     return ", ".join(runs) + more
 
@@ -112,14 +114,14 @@ def remedy_for(kind: str, key: int, *, alone: bool) -> str:
     if alone:
         return "add a factor that sees this direction, or hold it (graph.fix)"
     if kind == "rigid":
-        return f"hold one of them, such as graph.fix({key}), or give one a Prior"
+        return f"hold one of them, such as graph.fix({key_name(key)}), or give one a Prior"
     if kind == "scale":
         return "add a factor that sees a distance, such as a Range, or hold two of them (graph.fix)"
     if kind == "other":
         return "add a factor that sees it, or hold one of them (graph.fix)"
     if kind == "translation":
-        return f"add a Position or a Prior, or hold one of them (graph.fix({key}))"
-    return f"add a factor that sees this turn, such as a Prior, or hold one of them (graph.fix({key}))"
+        return f"add a Position or a Prior, or hold one of them (graph.fix({key_name(key)}))"
+    return f"add a factor that sees this turn, such as a Prior, or hold one of them (graph.fix({key_name(key)}))"
 
 
 def describe_free(

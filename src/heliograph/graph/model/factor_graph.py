@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import bisect
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,8 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.errors import GraphError
 from heliograph.graph.model.noise import Whitening
 from heliograph.graph.model.records import FactorRecord, as_keys, key_list
+from heliograph.graph.model.values import Values
 
 __all__ = ["Added", "FactorGraph"]
+
+_SHOWN = 20  # records that are printed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +57,9 @@ class FactorGraph:
     """
 
     __slots__ = ("_added", "_count", "_firsts", "_fixed")
+
+    # Set by `problem`, which stands above this module: a graph is data, and what it costs takes the native side.
+    evaluator: ClassVar[Callable[[FactorGraph, Values], NDArray[np.float64]]]
 
     def __init__(self) -> None:
         self._added: list[Added] = []
@@ -130,6 +138,25 @@ class FactorGraph:
         added = self._added[bisect.bisect_right(self._firsts, number) - 1]
         return added, number - added.first
 
+    def errors(self, values: Values) -> NDArray[np.float64]:
+        """Return what each factor costs at some values, (N,): ``|r|^2 / 2`` of its whitened residual, or rho(|r|).
+
+        Parameters
+        ----------
+        values : Values
+            One for every variable.
+
+        Raises
+        ------
+        GraphError
+            The graph does not fit the values.
+        """
+        return FactorGraph.evaluator(self, values)
+
+    def error(self, values: Values) -> float:
+        """Return the sum of `errors`: half of what `Solution.cost` says, as gtsam counts it."""
+        return float(self.errors(values).sum())
+
     def copy(self) -> FactorGraph:
         """Return a graph with the same factors that can be added to by itself; the records are shared."""
         other = FactorGraph()
@@ -146,7 +173,26 @@ class FactorGraph:
         return (added.record for added in self._added)
 
     def __repr__(self) -> str:
-        return f"FactorGraph({self._count} factors in {len(self._added)} records)"
+        kinds = Counter[str]()
+        for added in self._added:
+            kinds[added.record.kind] += len(added.record)
+        parts = [f"{count} {kind}" for kind, count in kinds.items()]
+        held = len(self.fixed)
+        return f"FactorGraph({', '.join([*parts, *([f'{held} held'] if held else [])])})"
+
+    def __str__(self) -> str:
+        """Return every record a line with its factors' numbers and keys, cut off after some."""
+        lines = [repr(self)]
+        for added in self._added[:_SHOWN]:
+            last = added.first + len(added.record) - 1
+            numbers = f"factor {last}" if last == added.first else f"factors {added.first}-{last}"
+            if len(added.record):
+                lines.append(f"  {numbers}: {added.record!r}")
+        if len(self._added) > _SHOWN:
+            lines.append(f"  ... ({len(self._added)} records in all)")
+        if len(self.fixed):
+            lines.append(f"  held: {key_list(self.fixed)}")
+        return "\n".join(lines)
 
 
 def _whitening(record: FactorRecord, first: int) -> Whitening:

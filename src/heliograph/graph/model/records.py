@@ -12,6 +12,7 @@ from heliograph.errors import GraphError
 from heliograph.graph.model.families import Family, Value, stacked
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.noise import Noise
+from heliograph.graph.model.symbols import key_name
 
 __all__ = ["FactorRecord", "NativeRecord", "as_keys", "as_measurement", "key_columns", "key_list"]
 
@@ -38,7 +39,7 @@ def key_list(keys: ArrayLike, max_keys: int = 8) -> str:
     """Return ``key 3`` or ``keys 3, 4`` for a message, cut off after ``max_keys``."""
     some = np.atleast_1d(np.asarray(keys)).tolist()
     more = f" ... ({len(some)} in all)" if len(some) > max_keys else ""
-    return ("key " if len(some) == 1 else "keys ") + ", ".join(map(str, some[:max_keys])) + more
+    return ("key " if len(some) == 1 else "keys ") + ", ".join(map(key_name, some[:max_keys])) + more
 
 
 def key_columns(kind: str, columns: tuple[ArrayLike, ...]) -> Keys:

@@ -13,12 +13,15 @@ from heliograph.errors import GraphError
 from heliograph.graph.model.families import Family, Value, family_named, stacked
 from heliograph.graph.model.key_index import KeyIndex
 from heliograph.graph.model.records import as_keys, key_list
+from heliograph.graph.model.symbols import key_name
+from heliograph.lie import S2, ExtendedPose
 
 __all__ = ["Values"]
 
 
 # A code is the number of the family and, below these bits, the place within it.
 _SHIFT = 40
+_SHOWN = 10  # values of a family that are printed
 
 
 class _Block:
@@ -98,7 +101,7 @@ class Values:
         taken = self._index.add(array, start)
         if taken is not None:
             raise GraphError(
-                f"key {taken} is used twice; keys are unique over all families, and `update` changes values"
+                f"key {key_name(taken)} is used twice; keys are unique over all families, and `update` changes values"
             )
         if number == len(self._blocks):
             self._blocks.append(block)
@@ -206,6 +209,18 @@ class Values:
         parts = ", ".join(f"{block.count} {block.family.name}" for block in self._blocks)
         return f"Values({parts})"
 
+    def __str__(self) -> str:
+        """Return every variable a line, cut off after some."""
+        lines = [repr(self)]
+        for block in self._blocks:
+            shown = min(block.count, _SHOWN)
+            values = block.family.elements(block.packed[:shown])
+            for key, value in zip(block.keys[:shown].tolist(), values, strict=True):
+                lines.append(f"  {key_name(key)}: {_described(block.family, value)}")
+            if block.count > shown:
+                lines.append(f"  ... ({block.count} {block.family.name} in all)")
+        return "\n".join(lines)
+
     def _checked(self, keys: ArrayLike, value: Value) -> tuple[Keys, Array, Family]:
         array = as_keys(keys)
         elements, family, single = stacked(value)
@@ -220,7 +235,7 @@ class Values:
             index = int(np.argmax(bad))
             numbers = np.array2string(elements[index], precision=6, separator=", ", threshold=30).replace("\n", "")
             fault = "no value of" if np.isfinite(elements[index]).all() else "not finite, so no value of"
-            raise GraphError(f"key {array[index]}: {numbers} is {fault} {family.name}")
+            raise GraphError(f"key {key_name(int(array[index]))}: {numbers} is {fault} {family.name}")
         return array, elements, family
 
     def _located(self, keys: Keys) -> tuple[int, NDArray[np.int64]]:
@@ -233,3 +248,18 @@ class Values:
             names = sorted({self._blocks[n].family.name for n in np.unique(numbers).tolist()})
             raise GraphError(f"{key_list(keys)} are of several families ({', '.join(names)}); ask for one at a time")
         return (int(numbers[0]) if len(codes) else 0), codes & ((1 << _SHIFT) - 1)
+
+
+def _described(family: Family, value: Array) -> str:
+    """Return a value in a line: its tangent vector from the identity, and its position where it has one."""
+    if family.lie is None or family.lie is S2:
+        return np.array2string(value, precision=6, suppress_small=True, separator=", ")
+    flat = np.asarray(family.lie(value).log())
+    turn = flat[: 1 if family.space == 2 or family.dof == 1 else 3]
+    parts = [f"rotation {np.array2string(turn, precision=6, suppress_small=True, separator=', ')}"]
+    if family.space:
+        at = value[: family.space, family.space]
+        parts.append(f"position {np.array2string(at, precision=6, suppress_small=True, separator=', ')}")
+    if family.lie is ExtendedPose:
+        parts.append(f"velocity {np.array2string(value[:3, 4], precision=6, suppress_small=True, separator=', ')}")
+    return ", ".join(parts)

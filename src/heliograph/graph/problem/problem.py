@@ -91,6 +91,7 @@ class Problem:
                 self._custom.append(_Custom(index, group, self._firsts, self.families))
         self.held = resolve_fixed(graph, values)
         self.native.hold(self.held.astype(np.int32))
+        self.damping = np.inf  # of the last factorisation
         self.set_values(values)
 
     def _add(self, group: ResolvedGroup) -> int:
@@ -190,6 +191,7 @@ class Problem:
     def factorize(self, damping: float, damping_floor: float) -> int | None:
         """Factorise the (damped) normal equations; return the key at which they are not positive definite, or None."""
         variable = self.native.factorize(damping, damping_floor, self.threads)
+        self.damping = np.inf if variable >= 0 else damping
         return None if variable < 0 else self.key_of(variable)
 
     def linear_step(self, damping: float, damping_floor: float) -> float:
@@ -220,3 +222,16 @@ class Problem:
         raise GraphError(
             f"the cost is {cost.cost} although every residual is finite: the residuals are too large to square"
         )
+
+
+def _errors(graph: FactorGraph, values: Values) -> Array:
+    """Return what each factor costs, (N,); see `FactorGraph.errors`."""
+    problem, out = Problem(graph, values), np.zeros(len(graph))
+    problem.cost()
+    for index, group in enumerate(problem.groups):
+        squared = problem.native.residuals(index)[1]
+        out[group.numbers] = 0.5 * squared if group.kernel is None else group.kernel.cost(np.sqrt(squared))
+    return out
+
+
+FactorGraph.evaluator = staticmethod(_errors)
