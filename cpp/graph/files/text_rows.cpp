@@ -45,17 +45,34 @@ int32_t index_of(std::string_view word, std::span<const std::string> tags, int32
   return found == tags.end() ? -1 : static_cast<int32_t>(found - tags.begin());
 }
 
-// Appends one line's numbers; false when a word is none, which is then told.
+void begin_row(int32_t tag, int64_t line, const char* begin, const char* end, const char* text, TextRows* rows) {
+  rows->tag.push_back(tag);
+  rows->line.push_back(line);
+  rows->range.insert(rows->range.end(), {begin - text, end - text});
+  rows->integer.insert(rows->integer.end(), 2, kNoInteger);
+  rows->first.push_back(static_cast<int64_t>(rows->number.size()));
+}
+
+bool is_comment(std::string_view word) {
+  return word[0] == '#' || word[0] == '%' || word[0] == ';' || (word.size() > 1 && word[0] == '/' && word[1] == '/');
+}
+
+// Appends one line's numbers, and a row of its own for a comment behind them; false when a word is none.
 bool read_line(const char* at, const char* end, const char* text, int64_t line, TextRows* rows) {
+  const size_t row = rows->integer.size() - 2;
   for (int k = 0;; ++k) {
     const std::string_view word = next_word(at, end);
     if (word.empty()) return true;
     double value = 0.0;
     if (!parse(word, &value)) {
+      if (is_comment(word)) {
+        begin_row(-1, line, word.data(), end, text, rows);
+        return true;
+      }
       rows->bad = {line, word.data() - text, word.data() + word.size() - text};
       return false;
     }
-    if (k < 2) rows->integer[rows->integer.size() - 2 + static_cast<size_t>(k)] = whole(word);
+    if (k < 2) rows->integer[row + static_cast<size_t>(k)] = whole(word);
     rows->number.push_back(value);
   }
 }
@@ -80,11 +97,7 @@ TextRows read_rows(std::string_view text, std::span<const std::string> tags) {
       const std::string_view word = next_word(word_end, stop);
       const int32_t tag = index_of(word, tags, last);
       if (tag >= 0) last = tag;
-      rows.tag.push_back(tag);
-      rows.line.push_back(line);
-      rows.range.insert(rows.range.end(), {at - begin, stop - begin});
-      rows.integer.insert(rows.integer.end(), 2, kNoInteger);
-      rows.first.push_back(static_cast<int64_t>(rows.number.size()));
+      begin_row(tag, line, at, stop, begin, &rows);
       if (tag >= 0 && !read_line(word_end, stop, begin, line, &rows)) break;
     }
     at = next;

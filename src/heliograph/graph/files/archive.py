@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from heliograph.atomic import atomic_path
 from heliograph.errors import FormatError, GraphError
+from heliograph.graph.files.file_factors import DirectionPrior, KnownPlane, PlaneSighting
 from heliograph.graph.model import factors as built_in
 from heliograph.graph.model import kernels, noise
 from heliograph.graph.model.factor import Factor
@@ -104,7 +105,8 @@ def load_graph(path: Path | str, *, factors: Iterable[type[Factor]] = ()) -> tup
         It holds factors whose class was not given, or does not fit.
     """
     path = Path(path)
-    own = {cls.__name__: cls for cls in factors}
+    known: list[type[Factor]] = [DirectionPrior, KnownPlane, PlaneSighting, *factors]
+    own = {cls.__name__: cls for cls in known}
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}

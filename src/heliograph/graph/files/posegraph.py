@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from heliograph.arrays import Array, Indices, freeze
-from heliograph.graph.files.odometry_start import distinct, odometry_start
+from heliograph.errors import GraphError
+from heliograph.graph.files.anchors import anchored, placed, points_from
+from heliograph.graph.files.file_factors import planes_of, records_of
+from heliograph.graph.files.odometry_start import SpanningStart, distinct, odometry_start
+from heliograph.graph.files.offsets import at_poses
 from heliograph.graph.files.row_kinds import KINDS, Role, numbers_of
 from heliograph.graph.files.tables import Table
 from heliograph.graph.model.factor_graph import FactorGraph
-from heliograph.graph.model.factors import Between, Landmark, Position, Prior
 from heliograph.graph.model.kernels import Kernel
-from heliograph.graph.model.noise import Information
 from heliograph.graph.model.values import Values
 from heliograph.lie import SE2, SE3
 
 __all__ = ["PoseGraphFile"]
 
 
-_FACTORS: tuple[Role, ...] = ("between", "landmark", "pose_prior", "position_prior")
+_THROUGH_ORIGIN = 1e-6  # [m] distance of a plane from the origin below which its normal is lost
+_UNARY: tuple[Role, ...] = ("pose_prior", "position_prior", "direction_prior")
+_SIGHTINGS: tuple[Role, ...] = ("landmark", "bearing")
+_FACTORS: tuple[Role, ...] = ("between", *_SIGHTINGS, "plane_sighting", *_UNARY)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)  # without slots: what follows from the rows is kept once computed
@@ -41,6 +46,10 @@ class PoseGraphFile:
         The lines they stand in.
     others : tuple of (int, str)
         Comments and parameters with their lines; written back as they were.
+    offsets : mapping of int to (k, k) float64
+        T_pose_sensor of the sensors that the rows name by these numbers; others sit at their pose.
+    notes : tuple of str
+        What reading the file has passed over or repaired.
     """
 
     dimension: int
@@ -48,6 +57,8 @@ class PoseGraphFile:
     fixed: Indices
     fixed_line: Indices
     others: tuple[tuple[int, str], ...] = ()
+    offsets: Mapping[int, Array] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -92,20 +103,37 @@ class PoseGraphFile:
     @cached_property
     def pose_ids(self) -> Indices:
         """All poses, whether a line gives their value or only a factor names them, ascending, (P,) int64."""
-        parts = [table.ids[:, 0] for table in self.of_role("pose", "landmark", "pose_prior", "position_prior")]
+        parts = [table.ids[:, 0] for table in self.of_role("pose", "plane_sighting", *_SIGHTINGS, *_UNARY)]
         parts += [table.ids.ravel() for table in self.of_role("between")]
         return _union(parts)
 
     @cached_property
     def point_ids(self) -> Indices:
         """All landmarks, ascending, (Q,) int64."""
-        return _union([t.ids[:, 0] for t in self.of_role("point")] + [t.ids[:, 1] for t in self.of_role("landmark")])
+        return _union([t.ids[:, 0] for t in self.of_role("point")] + [t.ids[:, 1] for t in self.of_role(*_SIGHTINGS)])
+
+    @cached_property
+    def plane_ids(self) -> Indices:
+        """All planes, ascending, (R,) int64; those that are fixed are known and no variables."""
+        return _union(
+            [t.ids[:, 0] for t in self.of_role("plane")] + [t.ids[:, 1] for t in self.of_role("plane_sighting")]
+        )
+
+    @cached_property
+    def known_planes(self) -> tuple[Indices, Array]:
+        """Ids of fixed planes, ascending, (M,), and their a b c d with a unit normal, (M, 4)."""
+        tables = self.of_role("plane")
+        ids = np.concatenate([t.ids[:, 0] for t in tables]) if tables else np.empty(0, dtype=np.int64)
+        planes = np.concatenate([planes_of(t.numbers) for t in tables]) if tables else np.empty((0, 4))
+        order = np.argsort(ids)
+        order = order[np.isin(ids[order], self.fixed)]
+        return ids[order], planes[order]
 
     @cached_property
     def missing_ids(self) -> Indices:
-        """Poses and landmarks that no line gives a value, ascending, (M,) int64."""
-        given = _union([table.ids[:, 0] for table in self.of_role("pose", "point")])
-        return _without(_union([self.pose_ids, self.point_ids]), given)
+        """Poses, landmarks and planes that no line gives a value, ascending, (M,) int64."""
+        given = _union([table.ids[:, 0] for table in self.of_role("pose", "point", "plane")])
+        return _without(_union([self.pose_ids, self.point_ids, self.plane_ids]), given)
 
     @cached_property
     def edges(self) -> tuple[Indices, Indices, SE2 | SE3]:
@@ -116,7 +144,7 @@ class PoseGraphFile:
             return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), group.identity((0,))
         order = np.argsort(np.concatenate([t.line for t in tables]), kind="stable")
         ids = np.concatenate([t.ids for t in tables])[order]
-        return ids[:, 0], ids[:, 1], group(np.concatenate([t.matrices for t in tables])[order])
+        return ids[:, 0], ids[:, 1], group(np.concatenate([at_poses(t, self.offsets)[0] for t in tables])[order])
 
     @property
     def edge_count(self) -> int:
@@ -124,11 +152,11 @@ class PoseGraphFile:
         return sum(len(table) for table in self.of_role(*_FACTORS))
 
     @cached_property
-    def _start(self) -> tuple[Indices, Indices, Array]:
-        """All poses, the component of each (named by its lowest id), and their matrices by odometry."""
+    def _start(self) -> tuple[SpanningStart, Indices]:
+        """All poses by odometry, and the component of each (named by its lowest id) when landmarks join them too."""
         i, j, T_i_j = self.edges
         start = odometry_start(i, j, T_i_j, self.pose_ids)
-        return start.ids, self._joined(start.ids, start.root), start.matrices
+        return start, self._joined(start.ids, start.root)
 
     def _joined(self, ids: Indices, root: Indices) -> Indices:
         """Return component labels with those joined that see a common landmark."""
@@ -150,67 +178,46 @@ class PoseGraphFile:
 
     @cached_property
     def gauge_ids(self) -> Indices:
-        """What is held: the FIX lines, and the lowest pose of each component that has neither those nor a prior."""
-        ids, component, _ = self._start
-        anchors = [self.fixed, *(t.ids[:, 0] for t in self.of_role("pose_prior", "position_prior"))]
-        anchored = component[np.isin(ids, np.concatenate(anchors))]
-        return _union([self.fixed, _without(distinct(component), distinct(anchored))])
+        """What is held: the FIX lines, and the lowest pose of each component that has neither those nor a prior.
+
+        A fixed landmark anchors the poses that see it, as a fixed pose does.
+        """
+        start, component = self._start
+        held = _without(self.fixed, self.plane_ids) if len(self.plane_ids) else distinct(self.fixed)
+        free = _without(distinct(component), distinct(anchored(self, start.ids, component)))
+        return _union([held, free])
 
     def odometry_values(self) -> Values:
         """Return a start from the relative poses, see `odometry_start`; landmarks by the first pose that sees them.
 
         A component that holds FIX lines with a value, or priors, is moved so that the lowest such pose is where that
-        says; fixed poses keep their values.
+        says, or so that it sees fixed landmarks where they are; what is fixed keeps its value.
         """
-        ids, component, T = self._start
-        T = self._placed(ids, component, T)
+        start, component = self._start
+        ids, T = start.ids, placed(self, start, component)
         group = SE2 if self.dimension == 2 else SE3
         values = Values()
         values.insert(ids, group(T))
         if len(self.point_ids):
-            values.insert(self.point_ids, self._points_from(ids, T))
+            values.insert(self.point_ids, points_from(self, ids, T))
+        self._insert_planes(values)
         return values
 
-    def _placed(self, ids: Indices, component: Indices, T: Array) -> Array:
-        """Return the poses with each component moved to where its fixed poses or priors say."""
-        known_ids = [t.ids[:, 0] for t in self.of_role("pose")]
-        known = [t.matrices for t in self.of_role("pose")]
-        given = _union(known_ids)
-        fixed = np.intersect1d(self.fixed, given)
-        said: dict[int, Array] = {}
-        for table in self.of_role("pose_prior"):
-            said.update(zip(table.ids[::-1, 0].tolist(), table.matrices[::-1], strict=True))
-        if len(fixed):
-            names, stacked = np.concatenate(known_ids), np.concatenate(known)
-            order = np.argsort(names)
-            at = order[np.searchsorted(names, fixed, sorter=order)]
-            said.update(zip(fixed.tolist(), stacked[at], strict=True))
-        if not said:
-            return T
-        out: Array = T.copy()
-        anchors = np.array(sorted(said), dtype=np.int64)
-        for label in np.unique(component[np.searchsorted(ids, anchors)]).tolist():
-            members = np.flatnonzero(component == label)
-            inside = anchors[np.isin(anchors, ids[members])]
-            preferred = inside[np.isin(inside, fixed)] if np.isin(inside, fixed).any() else inside
-            anchor = int(preferred[0])
-            shift = said[anchor] @ np.linalg.inv(T[np.searchsorted(ids, anchor)])
-            out[members] = shift @ T[members]
-        for name in fixed.tolist():
-            out[np.searchsorted(ids, name)] = said[name]
-        return out
-
-    def _points_from(self, ids: Indices, T: Array) -> Array:
-        """Return every landmark where the first pose that sees it has it; one that nobody sees where its line says."""
-        points = np.zeros((len(self.point_ids), self.dimension))
-        for table in self.of_role("point"):
-            points[np.searchsorted(self.point_ids, table.ids[:, 0])] = table.numbers
-        for table in reversed(self.of_role("landmark")):
-            names, first = np.unique(table.ids[:, 1], return_index=True)
-            pose = T[np.searchsorted(ids, table.ids[first, 0])]
-            seen = np.einsum("nab,nb->na", pose[:, :-1, :-1], table.numbers[first]) + pose[:, :-1, -1]
-            points[np.searchsorted(self.point_ids, names)] = seen
-        return points
+    def _insert_planes(self, values: Values) -> None:
+        """Insert the planes that are estimated, by their points closest to the world's origin."""
+        for table in self.of_role("plane"):
+            mine = np.flatnonzero(~np.isin(table.ids[:, 0], self.known_planes[0]))
+            if not len(mine):
+                continue
+            planes = planes_of(table.numbers[mine])
+            through = ~(np.abs(planes[:, 3]) > _THROUGH_ORIGIN)
+            if through.any():
+                name = table.ids[mine[int(np.argmax(through))], 0]
+                raise GraphError(
+                    f"plane {name} goes through the world's origin, where its closest point has no direction; fix it, "
+                    "or move the origin"
+                )
+            values.insert(table.ids[mine, 0], -planes[:, 3:] * planes[:, :3])
 
     def values(self) -> Values:
         """Return the values that the file gives, in its order; those of `missing_ids` are not among them."""
@@ -220,26 +227,20 @@ class PoseGraphFile:
             values.insert(table.ids[:, 0], group(table.matrices))
         for table in self.of_role("point"):
             values.insert(table.ids[:, 0], table.numbers)
+        self._insert_planes(values)
         return values
 
     def graph(self, *, kernel: Kernel | None = None) -> FactorGraph:
         """Return the factors, one group a kind, with what is held; `kernel` is that of every relative pose.
 
+        Sensors that do not sit at their pose are brought there exactly, measurement and information.
+
         Factor numbers run through the kinds in the order of `tables`, and within a kind in that of the file.
         """
-        group = SE2 if self.dimension == 2 else SE3
         graph = FactorGraph()
         for table in self.of_role(*_FACTORS):
-            noise = Information(_shared(table.information))
-            role, i = table.kind.role, table.ids[:, 0]
-            if role == "between":
-                graph.add(Between(i, table.ids[:, 1], group(table.matrices), noise, kernel=kernel))
-            elif role == "landmark":
-                graph.add(Landmark(i, table.ids[:, 1], table.numbers, noise, kernel=kernel))
-            elif role == "pose_prior":
-                graph.add(Prior(i, group(table.matrices), noise))
-            else:
-                graph.add(Position(i, table.numbers, noise))
+            for record in records_of(table, self.offsets, self.known_planes, kernel=kernel):
+                graph.add(record)
         graph.fix(self.gauge_ids)
         return graph
 
@@ -259,6 +260,8 @@ class PoseGraphFile:
                 tables.append(replace(table, numbers=numbers_of(table.kind, matrices)))
             elif role == "point":
                 tables.append(replace(table, numbers=np.asarray(values.at(table.ids[:, 0]))))
+            elif role == "plane":
+                tables.append(replace(table, numbers=self._plane_numbers(table, values)))
             else:
                 tables.append(table)
         poses = np.intersect1d(self.missing_ids, self.pose_ids)
@@ -271,6 +274,17 @@ class PoseGraphFile:
             tables.insert(int(len(poses) > 0), Table.of(kind, points, np.asarray(values.at(points))))
         return replace(self, tables=tuple(tables))
 
+    def _plane_numbers(self, table: Table, values: Values) -> Array:
+        """Return the numbers of planes with those that are estimated at their values; sides stay as they were."""
+        numbers = np.array(table.numbers)
+        mine = np.flatnonzero(~np.isin(table.ids[:, 0], self.known_planes[0]))
+        if len(mine):
+            closest = np.asarray(values.at(table.ids[mine, 0]))
+            away = np.linalg.norm(closest, axis=1, keepdims=True)
+            side = np.where(np.einsum("na,na->n", closest, numbers[mine, :3]) < 0.0, -1.0, 1.0)[:, None]
+            numbers[mine, :4] = side * np.concatenate([closest / away, -away], axis=1)
+        return numbers
+
     def _vertex_tag(self) -> str:
         """Return the tag of vertices that suits the file's edges."""
         partner = {"EDGE2": "VERTEX2", "EDGE3": "VERTEX3"}
@@ -278,12 +292,6 @@ class PoseGraphFile:
         return next(
             (partner[tag] for tag in tags if tag in partner), "VERTEX_SE2" if self.dimension == 2 else "VERTEX_SE3:QUAT"
         )
-
-
-def _shared(information: Array) -> Array:
-    """Return the one matrix that all of (N, d, d) are, or all of them."""
-    same = len(information) > 0 and bool((information == information[:1]).all())
-    return information[0] if same else information
 
 
 def _without(ids: Indices, taken: Indices) -> Indices:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from heliograph.arrays import Array
+from heliograph.arrays import Array, Indices
 from heliograph.errors import GraphError
 from heliograph.graph.files.posegraph import PoseGraphFile
 from heliograph.graph.files.row_kinds import KINDS, numbers_of
@@ -25,7 +25,10 @@ _TAGS = {
     ("Landmark", 2): "EDGE_SE2_XY",
     ("Landmark", 3): "EDGE_SE3_TRACKXYZ",
     ("Position", 2): "EDGE_PRIOR_SE2_XY",
+    ("Position", 3): "EDGE_SE3_XYZPRIOR",
+    ("Bearing", "SO2"): "EDGE_BEARING_SE2_XY",
 }
+_AT_THE_POSE = (-1, "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1")  # before all rows: g2o wants to know the sensor that they name
 
 
 def pose_graph_of(graph: FactorGraph, values: Values) -> PoseGraphFile:
@@ -34,7 +37,7 @@ def pose_graph_of(graph: FactorGraph, values: Values) -> PoseGraphFile:
     Parameters
     ----------
     graph : FactorGraph
-        Of `Between` and `Prior` on SE2 or SE3, `Landmark`, and `Position` of poses SE2.
+        Factors `Between` and `Prior` on SE2 or SE3, `Landmark`, `Position` of poses, and `Bearing` in the plane.
     values : Values
         SE2 and points (2,), or SE3 and points (3,).
 
@@ -56,17 +59,24 @@ def pose_graph_of(graph: FactorGraph, values: Values) -> PoseGraphFile:
     points, places = values.block(group.space)
     if len(points):
         tables.append(Table.of(KINDS["VERTEX_XY" if group is SE2 else "VERTEX_TRACKXYZ"], points, places))
-    tables += [_table(added) for added in graph.groups()]
+    tables += [_table(added, keys) for added in graph.groups()]
     fixed = graph.fixed
+    sensors = any(table.kind.parameters for table in tables)
     return PoseGraphFile(
-        dimension=group.space, tables=tuple(tables), fixed=fixed, fixed_line=np.zeros(len(fixed), dtype=np.int64)
+        dimension=group.space,
+        tables=tuple(tables),
+        fixed=fixed,
+        fixed_line=np.zeros(len(fixed), dtype=np.int64),
+        others=(_AT_THE_POSE,) if sensors else (),
     )
 
 
-def _table(added: Added) -> Table:
+def _table(added: Added, poses: Indices) -> Table:
     record = added.record
     word = record.measured.name if record.measured is not None and record.measured.lie is not None else record.rows
     tag = _TAGS.get((record.kind, word))
+    if record.kind == "Position" and not np.isin(record.keys, poses).all():
+        tag = None  # of points
     if tag is None or added.whitening.constrained:
         noise = "hard " if added.whitening.constrained else ""
         raise GraphError(

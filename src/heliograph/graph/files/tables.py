@@ -13,12 +13,12 @@ from heliograph.arrays import Array, Indices, freeze
 from heliograph.errors import FormatError
 from heliograph.graph.files.row_kinds import KINDS, RowKind, matrices_of, numbers_of
 
-__all__ = ["Table", "as_kind", "first_indefinite", "parse_tables", "written"]
+__all__ = ["Table", "as_kind", "parse_tables", "written"]
 
 
 _EXACT = 2.0**53  # up to here a double holds every whole number
+_ARRAYS = ("ids", "numbers", "information", "parameters", "line")
 _NO_INTEGER = np.iinfo(np.int64).min
-_PSD_TOLERANCE = 1e-9  # of the largest eigenvalue: what rounding the file's digits may do to a singular matrix
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,8 +35,8 @@ class Table:
         Their values to the bit as in the file: angles unwrapped, quaternions not normalised.
     information : (N, d, d) float64
         Inverse covariances, rotation first; (N, 0, 0) where the kind has none.
-    parameter : (N,) int64
-        Numbers of sensor offsets, where the kind has them; else zeros, not written.
+    parameters : (N, kind.parameters) int64
+        Numbers of sensor offsets.
     line : (N,) int64
         Line in the file, 0 for rows that are in none; rows are written in its order.
     """
@@ -45,26 +45,30 @@ class Table:
     ids: Indices
     numbers: Array
     information: Array
-    parameter: Indices
+    parameters: Indices
     line: Indices
 
     def __post_init__(self) -> None:
-        for name in ("ids", "numbers", "information", "parameter", "line"):
+        for name in _ARRAYS:
             object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
         freeze(self)
 
     def __len__(self) -> int:
         return len(self.ids)
 
+    def rows(self, chosen: Indices) -> Table:
+        """Return a table of some of the rows, by index."""
+        return replace(self, **{name: getattr(self, name)[chosen] for name in _ARRAYS})
+
     @property
     def matrices(self) -> Array:
-        """The rows' poses as homogeneous matrices, (N, k, k); for poses, priors and relative poses."""
+        """The rows' poses as homogeneous matrices, (N, k, k); for poses, priors, relative poses and angles."""
         return matrices_of(self.kind, self.numbers)
 
     def text(self) -> tuple[bytes, Indices]:
         """Return the rows as lines and the offsets (N + 1) between them."""
         kind = self.kind
-        integers = np.concatenate([self.ids, self.parameter[:, None]], axis=1) if kind.parameter else self.ids
+        integers = np.concatenate([self.ids, self.parameters], axis=1)
         flat = [self.information[:, a, b] for a, b in kind.information]
         numbers = np.column_stack([self.numbers, *flat])
         data, offsets = _core.format_rows(kind.tag, np.ascontiguousarray(integers), np.ascontiguousarray(numbers))
@@ -81,7 +85,7 @@ class Table:
             ids=np.asarray(ids, dtype=np.int64).reshape(n, kind.ids),
             numbers=np.asarray(numbers, dtype=np.float64),
             information=np.zeros((n, 0, 0)) if information is None else np.asarray(information, dtype=np.float64),
-            parameter=np.zeros(n, dtype=np.int64),
+            parameters=np.zeros((n, kind.parameters), dtype=np.int64),
             line=np.zeros(n, dtype=np.int64) if line is None else line,
         )
 
@@ -89,7 +93,7 @@ class Table:
 def as_kind(table: Table, tag: str) -> Table:
     """Return a table of poses or relative poses in another format's words; unchanged if it is of that kind already."""
     kind = KINDS[tag]
-    if kind is table.kind:
+    if kind.tag == table.kind.tag:
         return table
     same = kind.layout == table.kind.layout
     return replace(table, kind=kind, numbers=table.numbers if same else numbers_of(kind, table.matrices))
@@ -121,14 +125,23 @@ def written(tables: Iterable[Table], others: Iterable[tuple[int, str]] = ()) -> 
     return b"".join(chunks[s][0][chunks[s][1][a] : chunks[s][1][b + 1]] for s, a, b in spans)
 
 
-def parse_tables(path: Path, data: bytes) -> tuple[list[Table], list[tuple[int, str]]]:
-    """Return the tables of a file's text and the (line, text) of all lines whose tag is none of `KINDS`.
+def parse_tables(path: Path, data: bytes, *, identity: bool = False) -> tuple[list[Table], list[tuple[int, str]]]:
+    """Return the tables of a file's text and the (line, text) of comments and of lines whose tag is none of `KINDS`.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    data : bytes
+        Its text.
+    identity : bool
+        Edges without an information matrix have that of a unit sigma.
 
     Raises
     ------
     FormatError
-        A line is truncated or too long, or holds a word that is no number, NaN, an id that is no integer, a zero
-        quaternion, or an indefinite information matrix. Names the line.
+        A line is truncated or too long, or holds a word that is no number, NaN, an id that is no integer, or a zero
+        quaternion. Names the line.
     """
     tags = list(KINDS)
     tag, line, span, integers, first, numbers, bad = _core.read_rows(data, tags)
@@ -139,7 +152,11 @@ def parse_tables(path: Path, data: bytes) -> tuple[list[Table], list[tuple[int, 
     for index, name in enumerate(tags):
         rows = np.flatnonzero(tag == index)
         if len(rows):
-            tables.append(_table(path, KINDS[name], line[rows], integers[rows], first, rows, numbers))
+            count = first[rows + 1] - first[rows]
+            for kind, mine in _variants(path, KINDS[name], count, line[rows], identity=identity):
+                chosen = rows[mine]
+                values = numbers[first[chosen][:, None] + np.arange(kind.words)]
+                tables.append(_table(path, kind, line[chosen], integers[chosen], values, KINDS[name]))
     tables.sort(key=lambda table: int(table.line[0]))
     others = [
         (int(line[k]), data[span[k, 0] : span[k, 1]].decode(errors="replace")) for k in np.flatnonzero(tag < 0).tolist()
@@ -147,20 +164,39 @@ def parse_tables(path: Path, data: bytes) -> tuple[list[Table], list[tuple[int, 
     return tables, others
 
 
-def _table(
-    path: Path, kind: RowKind, line: Indices, integers: Indices, first: Indices, rows: Indices, numbers: Array
-) -> Table:
-    """Return the table of one kind from the numbers of its rows."""
-    count = first[rows + 1] - first[rows]
-    if (count != kind.words).any():
-        k = int(np.argmax(count != kind.words))
-        cut = "the line is cut off" if count[k] < kind.words else "it has too many"
+def _variants(
+    path: Path, kind: RowKind, count: Indices, line: Indices, *, identity: bool
+) -> list[tuple[RowKind, Indices]]:
+    """Return the kinds that rows of one tag are of by their numbers of words, and the rows of each."""
+    kinds = [kind]
+    if kind.layout == "plane" and not kind.information:
+        kinds.append(replace(kind, layout="coloured_plane"))
+    bare = replace(kind, information=()) if kind.information else None
+    if bare is not None and identity:
+        kinds.append(bare)
+    out, left = [], np.ones(len(count), dtype=bool)
+    for one in kinds:
+        mine = count == one.words
+        left &= ~mine
+        if mine.any():
+            out.append((one, np.flatnonzero(mine)))
+    if left.any():
+        k = int(np.argmax(left))
+        if bare is not None and count[k] == bare.words:
+            remedy = "complete it, or read with missing_information (--missing-information identity)"
+            fault = f"it has no information: {remedy}"
+        else:
+            fault = ("the line is cut off" if count[k] < kind.words else "it has too many") + ": complete or remove it"
         raise FormatError(
             path,
             f"line {line[k]}: {kind.tag} has {count[k]} numbers after its tag, expected {kind.words} "
-            f"({kind.describe()}); {cut}: complete or remove it",
+            f"({kind.describe()}); {fault}",
         )
-    values = numbers[first[rows][:, None] + np.arange(kind.words)]
+    return out
+
+
+def _table(path: Path, kind: RowKind, line: Indices, integers: Indices, values: Array, full: RowKind) -> Table:
+    """Return the table of one kind from the numbers of its rows; `full` is the kind with its information."""
     if not np.isfinite(values).all():
         k = int(np.argmax(~np.isfinite(values).all(axis=1)))
         raise FormatError(path, f"line {line[k]}: {kind.tag} holds NaN or infinity; correct or remove the line")
@@ -168,15 +204,20 @@ def _table(
     if (ids == _NO_INTEGER).any():
         k = int(np.argmax((ids == _NO_INTEGER).any(axis=1)))
         raise FormatError(path, f"line {line[k]}: an id of {kind.tag} is not a whole number of 64 bits; renumber it")
-    if kind.parameter and ((np.abs(values[:, kind.ids]) > _EXACT) | (values[:, kind.ids] % 1.0 != 0.0)).any():
+    start = kind.ids + kind.parameters
+    parameters = values[:, kind.ids : start]
+    if ((np.abs(parameters) > _EXACT) | (parameters % 1.0 != 0.0)).any():
         raise FormatError(path, f"line {line[0]} or a later one: an offset's id of {kind.tag} is not a whole number")
-    start = kind.ids + int(kind.parameter)
+    if full.information and not kind.information:
+        kind, information = full, np.tile(np.eye(full.rows), (len(values), 1, 1))
+    else:
+        information = _information(kind, values[:, start + kind.numbers :])
     table = Table(
         kind=kind,
         ids=ids,
         numbers=values[:, start : start + kind.numbers],
-        information=_information(kind, values[:, start + kind.numbers :]),
-        parameter=values[:, kind.ids].astype(np.int64) if kind.parameter else np.zeros(len(rows), dtype=np.int64),
+        information=information,
+        parameters=parameters.astype(np.int64),
         line=line,
     )
     _check(path, table)
@@ -186,6 +227,10 @@ def _table(
 def _information(kind: RowKind, flat: Array) -> Array:
     """Return (N, d, d) matrices, rotation first, from their numbers in the order of the file."""
     matrix = np.zeros((len(flat), kind.rows, kind.rows))
+    if kind.form == "root":
+        for k, (a, b) in enumerate(kind.information):  # S in our order: its rows may stand in any, so they turn too
+            matrix[:, a, b] = flat[:, k]
+        return np.asarray(np.swapaxes(matrix, 1, 2) @ matrix)
     for k, (a, b) in enumerate(kind.information):
         matrix[:, a, b] = matrix[:, b, a] = flat[:, k]
     return matrix
@@ -200,43 +245,16 @@ def _check(path: Path, table: Table) -> None:
             raise FormatError(
                 path, f"line {table.line[k]}: the quaternion of {kind.tag} is zero; no rotation is 0 0 0 1"
             )
-    if kind.ids == 2 and (table.ids[:, 0] == table.ids[:, 1]).any():
+    for first, last in {"plane": ((0, 3),), "coloured_plane": ((0, 3),), "directions": ((0, 3), (3, 6))}.get(
+        kind.layout, ()
+    ):
+        none = ~(np.linalg.norm(table.numbers[:, first:last], axis=1) > 1e-150)
+        if none.any():
+            line = table.line[int(np.argmax(none))]
+            raise FormatError(path, f"line {line}: a direction of {kind.tag} has no length; correct or remove the line")
+    numbered_apart = kind.form == "root" and kind.role == "landmark"  # iSAM counts poses and landmarks each from 0
+    if kind.ids == 2 and not numbered_apart and (table.ids[:, 0] == table.ids[:, 1]).any():
         k = int(np.argmax(table.ids[:, 0] == table.ids[:, 1]))
         raise FormatError(
             path, f"line {table.line[k]}: {kind.tag} joins {table.ids[k, 0]} with itself; remove the line"
         )
-    found = first_indefinite(table.information)
-    if found is not None:
-        k, smallest, largest = found
-        raise FormatError(
-            path,
-            f"line {table.line[k]}: the information matrix of {kind.tag} is not positive semi-definite: its smallest "
-            f"eigenvalue is {smallest:.3g}, its largest {largest:.3g}; correct it or remove the line",
-        )
-
-
-def first_indefinite(information: Array) -> tuple[int, float, float] | None:
-    """Return index, smallest and largest eigenvalue of the first of (N, d, d) that is not positive semi-definite."""
-    n, d = information.shape[:2]
-    if not n or not d:
-        return None
-    # An LDL' factorisation of all at once clears nearly every matrix; only what it doubts is worth an eigenvalue.
-    rest = np.array(information)
-    scale = np.einsum("nii->ni", information).max(axis=1)
-    doubtful = np.zeros(n, dtype=bool)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k in range(d):
-            pivot = rest[:, k, k]
-            doubtful |= ~(pivot > _PSD_TOLERANCE * scale)
-            column = rest[:, k + 1 :, k]
-            safe = np.where(pivot > 0.0, pivot, 1.0)
-            rest[:, k + 1 :, k + 1 :] -= column[:, :, None] * (column / safe[:, None])[:, None, :]
-    suspects = np.flatnonzero(doubtful)
-    if not len(suspects):
-        return None
-    values = np.linalg.eigvalsh(information[suspects])
-    wrong = values[:, 0] < -_PSD_TOLERANCE * np.abs(values).max(axis=1)
-    if not wrong.any():
-        return None
-    k = int(np.argmax(wrong))
-    return int(suspects[k]), float(values[k, 0]), float(values[k, -1])

@@ -5,6 +5,7 @@ import pytest
 
 from heliograph.errors import GraphError
 from heliograph.graph import (
+    Bearing,
     Between,
     Covariance,
     Diagonal,
@@ -22,7 +23,7 @@ from heliograph.graph.files.g2o import read_pose_graph, write_g2o
 from heliograph.graph.files.posegraph import PoseGraphFile
 from heliograph.graph.files.posegraph_of import pose_graph_of
 from heliograph.graph.files.worlds import manhattan
-from heliograph.lie import SE2, SE3
+from heliograph.lie import SE2, SE3, SO2
 
 TEXT = """VERTEX_SE2 4 1 2 0.5
 VERTEX_SE2 2 7 8 9
@@ -137,6 +138,21 @@ def test_factor_graph_goes_into_a_file_and_back(group, rng, tmp_path):
     assert file.values().at(100).tolist() == values.at(100).tolist()
 
 
+def test_positions_and_bearings_go_into_a_file_and_back(tmp_path):
+    for group in (SE2, SE3):
+        graph, values = FactorGraph(), Values()
+        values.insert([0, 1], group.identity((2,)))
+        values.insert(9, np.arange(1.0, 1.0 + group.space))
+        graph.add(Position([0, 1], np.ones((2, group.space)), Isotropic(0.5)))
+        if group is SE2:
+            graph.add(Bearing(0, 9, SO2.exp([0.5]), Isotropic(0.1)))
+        write_g2o(tmp_path / "out.g2o", pose_graph_of(graph, values))
+        file = read_pose_graph(tmp_path / "out.g2o")
+        assert file.graph().error(file.values()) == pytest.approx(graph.error(values))
+        if group is SE3:
+            assert (tmp_path / "out.g2o").read_text().startswith("PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n")
+
+
 def test_noise_of_every_kind_becomes_its_information(rng):
     S = rng.normal(size=(2, 3, 3)) + 2.0 * np.eye(3)
     omega = np.swapaxes(S, 1, 2) @ S
@@ -162,7 +178,8 @@ def test_what_a_file_has_no_word_for_is_refused(rng):
     with pytest.raises(GraphError, match=r"no word for Range \(1 factors from factor 0 \(keys 0, 1\)\)"):
         pose_graph_of(graph, values)
     graph = FactorGraph()
-    graph.add(Position(0, [0.0, 0, 0], Isotropic(0.1)))
+    values.insert(9, [1.0, 2.0, 3.0])
+    graph.add(Position(9, [0.0, 0, 0], Isotropic(0.1)))  # of a point
     with pytest.raises(GraphError, match="no word for Position"):
         pose_graph_of(graph, values)
     values.insert(7, [1.0] * 5)
