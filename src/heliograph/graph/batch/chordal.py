@@ -277,12 +277,16 @@ def _place(scene: _Scene, turned: _Turned, elements: Array, points: Array) -> tu
     at = positions.variables[:, 0] - scene.pose_first
     doubtful = (turned.free[at] >= 0) & turned.moved[at]
     R = turned.R
-    if doubtful.any():
-        # Nothing orients these components but positions: place them by themselves first, then turn them to fit.
-        alone = _translations(scene, R, elements, points, positions.part(~doubtful))
+    looks, known = _known_sightings(scene, turned, points)
+    if doubtful.any() or len(looks.variables):
+        # Nothing orients these components but positions and held points: place them by themselves, then turn them.
+        alone = _translations(scene, R, elements, points, positions.part(~doubtful), hold_points=False)
         if alone is None:
             return None
-        R = _oriented(turned, alone[0], at[doubtful], positions.value[doubtful])
+        look = looks.variables[:, 0] - scene.pose_first
+        here = np.concatenate([alone[0][at[doubtful]], alone[0][look] + (R[look] @ looks.value[:, :, None])[..., 0]])
+        there = np.concatenate([positions.value[doubtful], known])
+        R = _oriented(turned, np.concatenate([at[doubtful], look]), here, there)
     found = _translations(scene, R, elements, points, positions)
     if found is None:
         return None
@@ -293,13 +297,32 @@ def _place(scene: _Scene, turned: _Turned, elements: Array, points: Array) -> tu
     return poses, found[1]
 
 
-def _oriented(turned: _Turned, t: Array, at: Indices, p_world: Array) -> Array:
-    """Return the rotations with each free component turned so that its positions fit best (Kabsch 1976)."""
+def _known_sightings(scene: _Scene, turned: _Turned, points: Array) -> tuple[_Measured, Array]:
+    """Return the sightings of held points from poses that nothing orients, and p_world (S, d) of the points."""
+    d = turned.R.shape[-1]
+    seen = _measured(scene.groups, _LANDMARK, (scene.family, vectors(d)))
+    free = turned.free[seen.variables[:, 0] - scene.pose_first] >= 0
+    seen = seen.part(free & scene.is_held[seen.variables[:, 1]])
+    return seen, points[seen.variables[:, 1] - scene.point_first]
+
+
+def _oriented(turned: _Turned, at: Indices, here: Array, there: Array) -> Array:
+    """Return the rotations with each free component turned so that its places fit best (Kabsch 1976).
+
+    Parameters
+    ----------
+    turned : _Turned
+        Rotations.
+    at : (K,) int64
+        Whose component each place belongs to.
+    here, there : (K, d) float64
+        Where it is if the component is placed by itself, and in the world.
+    """
     R: Array = turned.R.copy()
     for component in np.unique(turned.free[at]):
         mine = turned.free[at] == component
-        here, there = t[at[mine]], p_world[mine]
-        spread = (there - there.mean(axis=0)).T @ (here - here.mean(axis=0))
+        a, b = here[mine], there[mine]
+        spread = (b - b.mean(axis=0)).T @ (a - a.mean(axis=0))
         singular = np.linalg.svd(spread, compute_uv=False)
         if mine.sum() > 1 and singular[0] > 0.0 and (len(singular) == 2 or singular[1] > 1e-6 * singular[0]):
             members = turned.free == component
@@ -308,7 +331,7 @@ def _oriented(turned: _Turned, t: Array, at: Indices, p_world: Array) -> Array:
 
 
 def _translations(
-    scene: _Scene, R: Array, elements: Array, points: Array, positions: _Measured
+    scene: _Scene, R: Array, elements: Array, points: Array, positions: _Measured, *, hold_points: bool = True
 ) -> tuple[Array, Array] | None:
     """Return positions of poses and points given the rotations (docs/theory/graph.md, eq. 19)."""
     d, n = R.shape[-1], len(R)
@@ -321,6 +344,7 @@ def _translations(
     at, value, strength = _absolute(scene, positions, known, n)
     held = np.concatenate([_held_slice(scene, scene.pose_first, n), _held_slice(scene, scene.point_first, len(points))])
     held &= known
+    held[n:] &= hold_points
     label = connected(len(given), i, j)
     placed = np.isin(label, label[np.concatenate([np.flatnonzero(held), at])])
     held |= known & ~placed & (label == np.arange(len(given)))

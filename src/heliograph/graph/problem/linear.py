@@ -170,7 +170,7 @@ def _right_hand_sides(x: Array, differences: Differences, anchors: Anchors, held
 
 def _sum_at(at: Indices, rows: Array, count: int) -> Array:
     """Return the sums (count, ...) of the rows of each index; one pass a column is many times faster than `add.at`."""
-    flat = rows.reshape(len(at), -1)
+    flat = rows.reshape(len(at), int(np.prod(rows.shape[1:])))  # -1 has no meaning where there are no rows
     sums = np.stack([np.bincount(at, column, count) for column in flat.T], axis=1)
     return np.asarray(sums, dtype=np.float64).reshape(count, *rows.shape[1:])
 

@@ -16,6 +16,7 @@ from heliograph.graph import (
     Prior,
     Values,
     solve,
+    solve_robust,
 )
 from heliograph.graph.batch.chordal import chordal_values, nearest_rotations
 from heliograph.graph.problem.linear import connected
@@ -161,3 +162,95 @@ def test_connected_finds_components(rng):
     assert (label[:100] == 0).all()
     assert (label[100:150] == 100).all()
     assert label[150] == 150
+
+
+@pytest.mark.parametrize("group", [SE2, SE3])
+def test_chordal_start_turns_to_held_landmarks(group, rng):
+    d = 2 if group is SE2 else 3
+    T, i, j, Z = _world(group, rng)
+    points = rng.normal(size=(6, d))
+    seen_by, seen = rng.integers(0, 12, 30), np.arange(30) % 6
+    graph, values = FactorGraph(), Values()
+    values.insert(np.arange(12), group.exp(_tangents(group, rng, 12)))
+    values.insert(200 + np.arange(6), np.where(np.arange(6)[:, None] < 5, points, 0.0))
+    graph.add(Between(i, j, Z, Isotropic(0.1)))
+    local = (T[seen_by].inverse().matrix @ np.c_[points[seen], np.ones(30)][:, :, None])[:, :d, 0]
+    graph.add(Landmark(seen_by, 200 + seen, local, Isotropic(0.2)))
+    graph.fix(200 + np.arange(5))
+    found = _chordal(graph, values)
+    np.testing.assert_allclose(found.block(group)[1].matrix, T.matrix, atol=1e-8)
+    np.testing.assert_allclose(found.block(d)[1], points, atol=1e-8)
+
+
+def _turned_pair(group):
+    """Two poses one step apart, the second started far off."""
+    values = Values()
+    values.insert(0, group.identity())
+    far = np.zeros(group.dof)
+    far[[0 if group is SE2 else 2, -2]] = 2.0, 1.0
+    values.insert(1, group.exp(far))
+    step = np.zeros(group.dof)
+    step[-2] = 1.0
+    graph = FactorGraph()
+    graph.add(Between(0, 1, group.exp(step), Isotropic(0.1)))
+    return graph, values
+
+
+@pytest.mark.parametrize("initial", ["auto", "chordal"])
+@pytest.mark.parametrize("group", [SE2, SE3])
+def test_prior_alone_is_anchor_enough_for_a_chordal_start(group, initial):
+    graph, values = _turned_pair(group)
+    graph.add(Prior(0, group.identity(), Isotropic(0.1)))
+    solution = solve(graph, values, initial=initial)
+    assert solution.start.startswith("chordal")
+    assert solution.chi2 == pytest.approx(0.0, abs=1e-18)
+
+
+@pytest.mark.parametrize("group", [SE2, SE3])
+def test_prior_on_every_pose_is_no_obstacle_to_a_chordal_start(group):
+    graph, values = _turned_pair(group)
+    graph.add(Prior([0, 1], values.block(group)[1], Isotropic(10.0)))
+    solution = solve(graph, values, initial="chordal")
+    assert solution.start.startswith("chordal")
+    assert solution.chi2 == pytest.approx(solve(graph, solution.values, initial="given").chi2)
+
+
+def test_prior_and_false_loops_let_the_end_be_doubted(rng):
+    n = 30
+    T = SE2.exp(np.arange(n)[:, None] * [2 * np.pi / n, 1.0, 0.0])
+    graph, values = FactorGraph(), Values()
+    values.insert(np.arange(n), T)
+    i = np.arange(n - 1)
+    graph.add(Between(i, i + 1, T[i].inverse() @ T[i + 1], Isotropic(0.01)))
+    graph.add(Between(np.zeros(8, int), 2 + np.arange(8), SE2.exp(rng.normal(size=(8, 3))), Isotropic(0.01)))
+    graph.add(Prior(0, T[0], Isotropic(0.1)))
+    assert solve(graph, values).chi2 > 3.0 * 3 * 8  # so the end is poor, and a second start was looked for
+
+
+@pytest.mark.parametrize("kinds", [["fix"], ["prior"], ["position"], ["prior", "fix"], ["landmark"]])
+def test_empty_groups_of_every_kind_change_nothing(kinds, rng):
+    T, i, j, Z = _world(SE2, rng)
+    values, graph, none = Values(), FactorGraph(), np.zeros(0, dtype=int)
+    values.insert(np.arange(12), SE2.exp(_tangents(SE2, rng, 12)))
+    values.insert(none, np.zeros((0, 2)))
+    graph.add(Between(i, j, Z, Isotropic(0.1)))
+    graph.add(Between(none, none, SE2.identity((0,)), Isotropic(0.1)))
+    graph.add(Prior(none, SE2.identity((0,)), Isotropic(0.1)))
+    graph.add(Position(none, np.zeros((0, 2)), Isotropic(0.1)))
+    graph.add(Landmark(none, none, np.zeros((0, 2)), Isotropic(0.1)))
+    graph.fix(none)
+    if "fix" in kinds:
+        values.update(3, T[3])
+        graph.fix(3)
+    if "prior" in kinds:
+        graph.add(Prior(3, T[3], Isotropic(0.1)))
+    if "position" in kinds:
+        graph.add(Position([1, 4, 7], T.translation[[1, 4, 7]], Isotropic(0.1)))
+    if "landmark" in kinds:
+        values.insert([100, 101], [[1.0, 2.0], [-3.0, 1.0]])
+        seen = [T[k].inverse() @ np.array(p) for k, p in ((0, [1.0, 2.0]), (5, [-3.0, 1.0]))]
+        graph.add(Landmark([0, 5], [100, 101], np.stack(seen), Isotropic(0.1)))
+        graph.fix([100, 101])
+    for initial in ("auto", "chordal"):
+        assert solve(graph, values, initial=initial).chi2 == pytest.approx(0.0, abs=1e-12)
+    assert solve_robust(graph, values).chi2 == pytest.approx(0.0, abs=1e-8)
