@@ -85,8 +85,9 @@ class Finder {
   void settle(int32_t v, bool fixed);
   void ready(int32_t v, const Link& factor, size_t a);
   bool attempt(int32_t v);
+  void attempt_together(int32_t f);
+  void solve_motion(const double* lower, const double* scale, int n, std::vector<double>* right) const;
   void add_motion(const Link& factor, size_t a, std::vector<double>* right) const;
-  void follow(int32_t v, const std::vector<double>& right);
   void drain();
   void seed(int32_t v);
   bool resists();
@@ -212,22 +213,74 @@ bool Finder::attempt(int32_t v) {
     settle(v, true);
     return true;
   }
-  for (int c = 0; c < columns_; ++c) {  // -H_aa^-1 of the neighbours' pull
-    double x[kMaxDof];
-    for (int i = 0; i < n; ++i) {
-      x[i] = right[static_cast<size_t>(i * columns_ + c)] * scale[i];
-      for (int k = 0; k < i; ++k) x[i] -= sum[i * n + k] * x[k];
-      x[i] /= sum[i * n + i];
-    }
-    for (int i = n; i-- > 0;) {
-      for (int k = i + 1; k < n; ++k) x[i] -= sum[k * n + i] * x[k];
-      x[i] /= sum[i * n + i];
-    }
-    for (int i = 0; i < n; ++i) right[static_cast<size_t>(i * columns_ + c)] = -x[i] * scale[i];
-  }
+  solve_motion(sum, scale, n, &right);
   motion_[at(v)] = std::move(right);
   settle(v, false);
   return true;
+}
+
+// right = -H^-1 right, with the scaled Cholesky factor of H: how open variables follow their neighbours' pull.
+void Finder::solve_motion(const double* lower, const double* scale, int n, std::vector<double>* right) const {
+  double x[kMaxDof];
+  for (int c = 0; c < columns_; ++c) {
+    double* column = right->data() + c;
+    for (int i = 0; i < n; ++i) {
+      x[i] = column[static_cast<size_t>(i * columns_)] * scale[i];
+      for (int k = 0; k < i; ++k) x[i] -= lower[i * n + k] * x[k];
+      x[i] /= lower[i * n + i];
+    }
+    for (int i = n; i-- > 0;) {
+      for (int k = i + 1; k < n; ++k) x[i] -= lower[k * n + i] * x[k];
+      x[i] /= lower[i * n + i];
+    }
+    for (int i = 0; i < n; ++i) column[static_cast<size_t>(i * columns_)] = -x[i] * scale[i];
+  }
+}
+
+// A factor with several open variables and enough rows may determine all of them at once, as a motion model does with the
+// next state and what drifts along. Without this every such step would need a seed of its own.
+void Finder::attempt_together(int32_t f) {
+  const Link factor = link(f);
+  const FactorGroup& group = *factor.group;
+  size_t open[kMaxArity];
+  int first[kMaxArity], count = 0, n = 0;
+  bool moved = false;
+  for (size_t a = 0; a < static_cast<size_t>(group.arity); ++a) {
+    const Place place = place_[at(factor.scope[a])];
+    moved |= place == Place::moving;
+    if (place != Place::open) continue;
+    open[count] = a;
+    first[count++] = n;
+    n += group.dof[a];
+  }
+  if (count < 2 || n > group.rows || n > kMaxDof) return;
+  double sum[kMaxDof * kMaxDof], magnitude[kMaxDof], scale[kMaxDof];
+  for (int p = 0; p < count; ++p)
+    for (int q = 0; q <= p; ++q) {  // H_qp is stored, q <= p; the lower triangle is read
+      const double* h = factor.block + factor.slots->at[open[q]][open[p]];
+      const int rows = group.dof[open[q]], columns = group.dof[open[p]];
+      for (int r = 0; r < rows; ++r)
+        for (int c = 0; c < columns; ++c) sum[(first[p] + c) * n + first[q] + r] = h[r * columns + c];
+    }
+  for (int k = 0; k < n; ++k) magnitude[k] = sum[k * n + k];
+  if (!regular_factor(sum, n, magnitude, scale)) return;
+  std::vector<double> right(static_cast<size_t>(n * columns_), 0.0);
+  if (moved) {
+    for (int p = 0; p < count; ++p) {
+      std::vector<double> part(static_cast<size_t>(group.dof[open[p]] * columns_), 0.0);
+      add_motion(factor, open[p], &part);
+      std::copy(part.begin(), part.end(), right.begin() + static_cast<std::ptrdiff_t>(first[p]) * columns_);
+    }
+    solve_motion(sum, scale, n, &right);
+  } else {
+    out_.everywhere = false;
+  }
+  for (int p = 0; p < count; ++p) {
+    const int32_t v = factor.scope[open[p]];
+    const auto begin = right.begin() + static_cast<std::ptrdiff_t>(first[p]) * columns_;
+    if (moved) motion_[at(v)].assign(begin, begin + static_cast<std::ptrdiff_t>(group.dof[open[p]]) * columns_);
+    settle(v, !moved);
+  }
 }
 
 // right += H_ab M_b of the factor's other variables.
@@ -254,7 +307,8 @@ void Finder::drain() {
   while (true) {
     for (; next < queue_.size(); ++next)
       for (const int32_t f : factors_at(queue_[next])) {
-        if (--open_[at(f)] != 1) continue;
+        if (--open_[at(f)] > 1) attempt_together(f);
+        if (open_[at(f)] != 1) continue;
         const Link factor = link(f);
         for (size_t a = 0; a < static_cast<size_t>(factor.group->arity); ++a)
           if (place_[at(factor.scope[a])] == Place::open) ready(factor.scope[a], factor, a);

@@ -27,6 +27,8 @@ _MOST_PARTS = 50  # that are told one by one
 _MOST_TOLD = 6  # in a message
 _TURN = 0.3  # of the perturbation that tells structure from accident [rad, and of the extent]
 _DAMPING = 1e-13  # of the diagonal, for the inverse iteration
+_SURE = 1e-7  # least pivot, of the diagonal it came from, above which nothing is free: rounding leaves 1e-10 of nothing
+_UNDAMPED = 1e-3 * _SURE  # damping that does not lift a pivot to that
 _GENTLE, _POLISH = 1e-9, 4  # damping and number of the steps that end a search to rounding
 _COLUMNS, _ROUNDS = 8, 3  # of the inverse iteration
 _DETERMINED, _FOLLOWS, _UNRESOLVED = 0, 1, 2  # as the native side numbers them
@@ -186,6 +188,11 @@ def require_solved(problem: Problem, *, before: Diagnosis, failed: bool) -> Diag
     """
     rejecting = any(group.kernel is not None for group in problem.groups)
     if before.everywhere and not rejecting and not failed:
+        return before
+    constrained = any(group.constrained for group in problem.groups)
+    plain = before.ok and before.complete and not (rejecting or failed or constrained)
+    # The last factorisation was a step from the end; what it shows beyond doubt needs no search.
+    if plain and problem.damping <= _UNDAMPED and _core.graph_least_pivot(problem.native) > _SURE:
         return before
     problem.linearize()
     factorize = True if failed else None

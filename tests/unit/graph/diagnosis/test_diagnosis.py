@@ -18,8 +18,13 @@ from heliograph.graph import (
     Range,
     Values,
     diagnose,
+    solve,
 )
+from heliograph.graph.diagnosis import diagnosis
+from heliograph.graph.diagnosis.diagnosis import inspect
+from heliograph.graph.problem.problem import Problem
 from heliograph.lie import SE2, SE3, SO3, ExtendedPose, se2, se3
+from reference.nullity import nullity
 
 
 @pytest.mark.parametrize(("lie", "freedom"), [(SE3, 6), (SE2, 3)])
@@ -297,3 +302,52 @@ def test_custom_factors_with_numeric_derivatives_are_judged_too():
     assert motion.directions == 3 and motion.variables == "poses 0-59"
     graph.fix(7)
     accepted(graph, values)
+
+
+class _Step(Factor):
+    """A position and a bias lead to the next ones together, as a combined IMU factor's states do."""
+
+    variables = (2, 2, 2, 2)
+    rows = 4
+
+    @staticmethod
+    def residual(x_i, b_i, x_j, b_j):
+        return np.concatenate([x_j - x_i - b_i - 0.1 * b_j, b_j - b_i + 0.1 * (x_j - x_i)], axis=1)
+
+
+def _steps(n, anchors):
+    graph, values = FactorGraph(), Values()
+    values.insert(np.arange(n), np.zeros((n, 2)))
+    values.insert(1000 + np.arange(n), np.zeros((n, 2)))
+    i = np.arange(n - 1)
+    graph.add(_Step((i, 1000 + i, i + 1, 1001 + i), noise=Isotropic(1.0)))
+    for key in anchors:
+        graph.add(Prior(key, [0.0, 0.0], Isotropic(1.0)))
+    return graph, values
+
+
+@pytest.mark.parametrize(("anchors", "free"), [([0, 1000], 0), ([0, 150], 0), ([150], 2), ([], 4)])
+def test_states_that_follow_together_need_no_seed_of_their_own(anchors, free):
+    graph, values = _steps(200, anchors)
+    problem = Problem(graph, values)
+    problem.linearize()
+    found = inspect(problem)  # nothing is factorised
+    assert found.complete
+    assert sum(motion.scalars for motion in found.free) == free == nullity(graph, values)
+
+
+def test_a_solve_looks_for_free_motions_once(monkeypatch):
+    searches = []
+    monkeypatch.setattr(diagnosis._Search, "run", _counted(diagnosis._Search.run, searches))
+    graph, values = _steps(50, [0, 1000])
+    graph.add(Prior(49, [1.0, 1.0], Isotropic(1.0)))
+    assert solve(graph, values).status == "converged"
+    assert len(searches) == 1
+
+
+def _counted(method, calls):
+    def counted(self, **options):
+        calls.append(options)
+        return method(self, **options)
+
+    return counted
