@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT
 #include <nanobind/stl/vector.h>
 
+#include <mutex>
+
 #include "bindings/bindings.hpp"
 #include "graph/factors/make_group.hpp"
 #include "graph/problem/problem.hpp"
@@ -96,13 +98,25 @@ auto solve_for(const GraphProblem& problem, const Rows& right) {
   return to_numpy<double>(std::move(x), {right.shape(0), right.shape(1)});
 }
 
+// The inverse of a problem's factor as it stands, asked for again and again.
+struct GraphInverse {
+  explicit GraphInverse(const GraphProblem& of) : problem(of), inverse(of.factorization()) {}
+  const GraphProblem& problem;
+  SelectedInverse inverse;
+  std::mutex mutex;  // what it keeps grows with every call, and Python may call from several threads
+};
+
 // Blocks of the variables, one after another; all of them must be free.
-auto covariance_blocks(const GraphProblem& problem, const Indices& variables) {
+auto covariance_blocks(GraphInverse& self, const Indices& variables) {
+  const GraphProblem& problem = self.problem;
   std::vector<int32_t> nodes;
   for (const int32_t v : span_of(variables)) nodes.push_back(problem.nodes().node_of.at(static_cast<size_t>(v)));
   for (const int32_t node : nodes)
     if (node < 0) throw std::invalid_argument("a held variable has no block");
-  std::vector<double> blocks = unlocked([&] { return inverse_blocks(problem.factorization(), nodes); });
+  std::vector<double> blocks = unlocked([&] {
+    const std::scoped_lock lock(self.mutex);
+    return self.inverse.blocks(nodes);
+  });
   const size_t size = blocks.size();
   return to_numpy<double>(std::move(blocks), {size});
 }
@@ -162,7 +176,6 @@ void bind_graph_problem(nb::module_& m) {
       .def("solve", [](GraphProblem& p, double damping, double floor) { return unlocked([&] { return p.solve(damping, floor); }); },
            "damping"_a, "floor"_a)
       .def("solve_for", &solve_for, "right"_a.noconvert())
-      .def("covariance_blocks", &covariance_blocks, "variables"_a.noconvert())
       .def("gradient", [](const GraphProblem& p) { return copied(p.gradient()); })
       .def("diagonal", [](const GraphProblem& p) { return copied(p.diagonal()); })
       .def("multiply", [](const GraphProblem& p, const Doubles& v) { return copied(unlocked([&] { return p.multiply(span_of(v)); })); }, "v"_a.noconvert())
@@ -172,6 +185,9 @@ void bind_graph_problem(nb::module_& m) {
       .def("jacobians", &jacobians, "group"_a)
       .def("blocks", [](const GraphProblem& p) { return copied(p.blocks()); })
       .def("plan", &plan_facts);
+  nb::class_<GraphInverse>(m, "GraphInverse")
+      .def(nb::init<const GraphProblem&>(), "problem"_a, nb::keep_alive<1, 2>())
+      .def("covariance_blocks", &covariance_blocks, "variables"_a.noconvert());
 }
 
 }  // namespace heliograph

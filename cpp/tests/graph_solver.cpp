@@ -117,7 +117,16 @@ void check_inverse(const GraphProblem& problem, const Dense& dense, const std::v
   std::shuffle(nodes.begin(), nodes.end(), random);
   nodes.resize(nodes.size() - nodes.size() / 3);
   const Matrix inverse = dense.H.inverse();
-  const std::vector<double> blocks = inverse_blocks(problem.factorization(), nodes);
+  SelectedInverse bounded(problem.factorization(), 200), unbounded(problem.factorization());
+  const std::vector<double> blocks = unbounded.blocks(nodes);
+  CHECK(unbounded.blocks(nodes) == blocks);  // from what was kept
+  CHECK(bounded.blocks(nodes) == blocks);
+  std::vector<double> single;
+  for (const int32_t node : nodes) {
+    const std::vector<double> block = bounded.blocks({&node, 1});
+    single.insert(single.end(), block.begin(), block.end());
+  }
+  CHECK(single == blocks);
   const double* found = blocks.data();
   for (const int32_t node : nodes) {
     const auto v = static_cast<size_t>(problem.nodes().variable_of[static_cast<size_t>(node)]);

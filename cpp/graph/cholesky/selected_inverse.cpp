@@ -3,7 +3,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
-#include <map>
+#include <functional>
 #include <numeric>
 
 namespace heliograph {
@@ -13,35 +13,54 @@ namespace {
 using Matrix = Eigen::MatrixXd;
 using Columns = Eigen::Map<const Matrix, 0, Eigen::OuterStride<>>;
 
-class Inverse {
+}  // namespace
+
+class SelectedInverse::Fronts {
  public:
-  Inverse(const Multifrontal& factorization, std::span<const int32_t> nodes)
-      : plan_(factorization.plan()), factor_(factorization.factor()), wanted_(plan_.fronts.size(), 0),
-        waiting_(plan_.fronts.size(), 0) {
-    for (const int32_t node : nodes) {
-      int32_t front = plan_.front_of[static_cast<size_t>(node)];
-      while (front >= 0 && wanted_[static_cast<size_t>(front)] == 0) {
-        wanted_[static_cast<size_t>(front)] = 1;
-        front = plan_.fronts[static_cast<size_t>(front)].parent;
-        if (front >= 0) ++waiting_[static_cast<size_t>(front)];
+  Fronts(const Multifrontal& factorization, size_t most_doubles)
+      : plan_(factorization.plan()), factor_(factorization.factor()), kept_(plan_.fronts.size()),
+        waiting_(plan_.fronts.size(), 0), wanted_(plan_.fronts.size(), 0), loaned_(plan_.fronts.size(), 0),
+        room_(most_doubles) {}
+
+  const Plan& plan() const { return plan_; }
+
+  // Calls found(front, its block of the inverse: pivots, then rows) for the fronts of the nodes, from the roots down.
+  template <typename Found>
+  void run(std::span<const int32_t> nodes, Found&& found) {
+    std::vector<size_t> path;
+    for (const int32_t node : nodes)
+      for (int32_t front = plan_.front_of[at(node)]; front >= 0 && wanted_[at(front)] == 0; front = plan_.fronts[at(front)].parent) {
+        wanted_[at(front)] = 1;
+        path.push_back(at(front));
+        if (kept_[at(front)]) break;  // and so are those above it, or they are not needed
+      }
+    std::sort(path.begin(), path.end(), std::greater<>());
+    for (const size_t s : path)
+      if (!kept_[s] && plan_.fronts[s].parent >= 0) ++waiting_[at(plan_.fronts[s].parent)];
+    for (const size_t s : path) {
+      wanted_[s] = 0;
+      const FrontView& front = plan_.fronts[s];
+      const bool there = kept_[s] != nullptr;
+      auto fresh = there ? nullptr : std::make_unique<Matrix>(front_inverse(front));
+      found(s, there ? *kept_[s] : *fresh);
+      if (there) continue;
+      const auto size = static_cast<size_t>(fresh->size());
+      const bool stays = size <= room_;
+      if (stays) room_ -= size;
+      if (stays || waiting_[s] > 0) kept_[s] = std::move(fresh);
+      loaned_[s] = !stays && waiting_[s] > 0;
+      if (front.parent < 0) continue;
+      const size_t parent = at(front.parent);
+      if (--waiting_[parent] == 0 && loaned_[parent] != 0) {
+        kept_[parent].reset();
+        loaned_[parent] = 0;
       }
     }
   }
 
-  // Calls found(front, its block of the inverse: pivots, then rows) from the roots down.
-  template <typename Found>
-  void run(Found&& found) {
-    for (size_t s = plan_.fronts.size(); s-- > 0;) {
-      if (wanted_[s] == 0) continue;
-      const FrontView& front = plan_.fronts[s];
-      Matrix Z = front_inverse(front);
-      found(s, Z);
-      if (front.parent >= 0 && --waiting_[static_cast<size_t>(front.parent)] == 0) kept_.erase(front.parent);
-      if (waiting_[s] > 0) kept_.emplace(static_cast<int32_t>(s), std::move(Z));
-    }
-  }
-
  private:
+  static size_t at(int32_t i) { return static_cast<size_t>(i); }
+
   // With W = L21 L11^-1: Z21 = -Z22 W and Z11 = (L11 L11')^-1 - W' Z21.
   Matrix front_inverse(const FrontView& front) const {
     const Eigen::Index K = front.pivots, M = front.rows;
@@ -61,7 +80,7 @@ class Inverse {
   }
 
   Matrix rows_of_parent(const FrontView& front) const {
-    const Matrix& parent = kept_.at(front.parent);
+    const Matrix& parent = *kept_[at(front.parent)];
     Matrix Z(front.rows, front.rows);
     const RunView* runs = plan_.runs.data() + front.run_begin;
     for (int32_t a = 0; a < front.runs; ++a)
@@ -73,15 +92,20 @@ class Inverse {
 
   const Plan& plan_;
   std::span<const double> factor_;
-  std::vector<uint8_t> wanted_;
-  std::vector<int32_t> waiting_;  // wanted children that still need this front's block
-  std::map<int32_t, Matrix> kept_;
+  std::vector<std::unique_ptr<Matrix>> kept_;  // (fronts)
+  std::vector<int32_t> waiting_;               // (fronts) children on the present paths that still need this one's block
+  std::vector<uint8_t> wanted_;                // (fronts) on the present paths
+  std::vector<uint8_t> loaned_;                // (fronts) kept for the children on the present paths alone
+  size_t room_;                                // doubles that may still be kept
 };
 
-}  // namespace
+SelectedInverse::SelectedInverse(const Multifrontal& factorization, size_t most_doubles)
+    : fronts_(std::make_unique<Fronts>(factorization, most_doubles)) {}
 
-std::vector<double> inverse_blocks(const Multifrontal& factorization, std::span<const int32_t> nodes) {
-  const Plan& plan = factorization.plan();
+SelectedInverse::~SelectedInverse() = default;
+
+std::vector<double> SelectedInverse::blocks(std::span<const int32_t> nodes) {
+  const Plan& plan = fronts_->plan();
   std::vector<size_t> offset(nodes.size() + 1, 0);
   for (size_t i = 0; i < nodes.size(); ++i) {
     const auto d = static_cast<size_t>(plan.weight[static_cast<size_t>(nodes[i])]);
@@ -93,7 +117,7 @@ std::vector<double> inverse_blocks(const Multifrontal& factorization, std::span<
   const auto front_of = [&](size_t i) { return plan.front_of[static_cast<size_t>(nodes[i])]; };
   std::stable_sort(asked.begin(), asked.end(), [&](size_t a, size_t b) { return front_of(a) < front_of(b); });
   std::vector<double> out(offset.back());
-  Inverse(factorization, nodes).run([&](size_t s, const Matrix& Z) {
+  fronts_->run(nodes, [&](size_t s, const Matrix& Z) {
     const FrontView& front = plan.fronts[s];
     auto at = std::lower_bound(asked.begin(), asked.end(), static_cast<int32_t>(s),
                                [&](size_t i, int32_t f) { return front_of(i) < f; });

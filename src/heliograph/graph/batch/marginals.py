@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph import _core
 from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.batch.constraints import stiffen
 from heliograph.graph.diagnosis.diagnosis import inspect, raise_free
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.records import as_keys, key_list
+from heliograph.graph.model.symbols import key_name
 from heliograph.graph.model.values import Values
 from heliograph.graph.problem.problem import Problem
 
@@ -47,7 +49,7 @@ class Marginals:
     >>> marginals.joint([3, 700])  # (12, 12)
     """
 
-    __slots__ = ("_held", "_problem", "_values")
+    __slots__ = ("_held", "_inverse", "_problem", "_values")
 
     def __init__(self, graph: FactorGraph, values: Values, *, threads: int = 1) -> None:
         self._problem = Problem(graph, values, threads=threads)
@@ -62,9 +64,10 @@ class Marginals:
         if key is not None:
             raise_free(inspect(self._problem, weighted=True, factorize=True))
             raise GraphError(
-                f"the normal equations are not positive definite at variable {key}, although no motion is entirely "
-                "free: the information of its factors is too uneven for double precision"
+                f"the normal equations are not positive definite at variable {key_name(key)}, although no motion is "
+                "entirely free: the information of its factors is too uneven for double precision"
             )
+        self._inverse = _core.GraphInverse(self._problem.native)  # keeps what it finds for the next call
 
     def _dense(self, keys: ArrayLike) -> NDArray[np.int64]:
         asked = as_keys(keys).reshape(-1)
@@ -99,7 +102,7 @@ class Marginals:
         out = np.zeros((len(dense), d, d))
         free = ~self._held[dense]
         if free.any():
-            blocks = self._problem.native.covariance_blocks(dense[free].astype(np.int32))
+            blocks = self._inverse.covariance_blocks(dense[free].astype(np.int32))
             out[free] = blocks.reshape(-1, d, d)
         out = 0.5 * (out + np.swapaxes(out, 1, 2))
         return out[0] if np.ndim(keys) == 0 else out
