@@ -69,6 +69,7 @@ STOREYS: dict[str, dict[str, set[str]]] = {
         "diagnosis": {"model", "problem"},
         "batch": {"model", "problem", "diagnosis"},
         "incremental": {"model", "problem", "diagnosis", "batch", "files"},
+        "solver": {"model", "problem", "batch", "incremental"},
     },
     "io": {
         "raw": set(),

@@ -47,9 +47,23 @@ class Solver(str, Enum):
 class Init(str, Enum):
     """Starts."""
 
+    auto = "auto"
     file = "file"
     odometry = "odometry"
     chordal = "chordal"
+
+
+class Repair(str, Enum):
+    """What stands in for information that is not positive semi-definite."""
+
+    clamp = "clamp"
+    skip = "skip"
+
+
+class Missing(str, Enum):
+    """What stands in for information that is not there."""
+
+    identity = "identity"
 
 
 @dataclass(slots=True, kw_only=True)
@@ -72,12 +86,29 @@ def solve(
     solver: Annotated[Solver, typer.Option("--solver", help="Method.")] = Solver.lm,
     init: Annotated[
         Init,
-        typer.Option("--init", help="Where to start; a chordal start takes its place where that is clearly better."),
-    ] = Init.file,
+        typer.Option("--init", help="Where to start; auto: the file, a chordal start or a replay, what is best."),
+    ] = Init.auto,
     robust: Annotated[
         str | None,
         typer.Option("--robust", metavar="NAME[:WIDTH]", help=f"Kernel of relative poses: {', '.join(_KERNELS)}."),
     ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option("--tolerance", min=0.0, help="Converged when a step lowers the cost by no more than this share."),
+    ] = None,
+    max_iterations: Annotated[
+        int | None, typer.Option("--max-iterations", metavar="N", min=1, help="Steps tried at most.")
+    ] = None,
+    repair_information: Annotated[
+        Repair | None,
+        typer.Option("--repair-information", help="Information that is not positive semi-definite: clamp it or skip."),
+    ] = None,
+    missing_information: Annotated[
+        Missing | None, typer.Option("--missing-information", help="Edges without information get the identity.")
+    ] = None,
+    skip_unknown: Annotated[
+        bool, typer.Option("--skip-unknown", help="Pass over lines of unknown tags and count them.")
+    ] = False,
     threads: Annotated[int, typer.Option("--threads", metavar="N", min=1, help="Same bits for any number.")] = 1,
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE", help="Picture before and after (.png, .pdf, .svg).")
@@ -99,19 +130,26 @@ def solve(
     from heliograph.graph.files.g2o import check_toro
 
     kernel = None if robust is None else parse_robust(robust)
+    limits = _limits(solver, tolerance, max_iterations)
     for path in (output, plot):
         _check_folder(path)
     if solver is Solver.isam2:
         if init is Init.chordal:
             raise ConfigError("--init chordal is for the other solvers: isam2 starts poses from its own estimate")
         init = Init.odometry
-    task = _task(graph, init, kernel)
+    reading = {
+        "repair_information": repair_information.value if repair_information else "",
+        "missing_information": missing_information.value if missing_information else "",
+        "skip_unknown": skip_unknown,
+    }
+    task = _task(graph, init, kernel, reading)
     if output is not None and output.suffix in _TORO:
         check_toro(task.file or pose_graph_of(task.graph, task.values))
     for note in task.notes:
         print(f"note: {note}", file=sys.stderr)
     settings = ISAM2Settings(relinearize_skip=skip, relinearize_threshold=threshold, wildfire=wildfire)
-    solution = _minimise(task, solver, settings, chordal=init is Init.chordal, threads=threads)
+    initial = "chordal" if init is Init.chordal else "auto"
+    solution = _minimise(task, solver, settings, limits, initial=initial, threads=threads)
     if json and init is not Init.chordal and solution.start != "given" and solver is not Solver.isam2:
         print(f"note: start: {solution.start}", file=sys.stderr)
     written = _write(task, solution, output, plot, title=graph.stem)
@@ -121,16 +159,27 @@ def solve(
     typer.echo(jsonlib.dumps(facts, allow_nan=False) if json else "\n".join(_lines(facts)))
 
 
+def _limits(solver: Solver, tolerance: float | None, max_iterations: int | None) -> dict[str, Any]:
+    """Return when the solver stops, as `SolverSettings` takes it."""
+    from heliograph.errors import ConfigError
+
+    if solver is Solver.isam2 and not (tolerance is None and max_iterations is None):
+        raise ConfigError("--tolerance and --max-iterations are for the other solvers: isam2 takes one step a pose")
+    given = {"relative_decrease": tolerance, "max_iterations": max_iterations}
+    return {name: value for name, value in given.items() if value is not None}
+
+
 def _minimise(
-    task: _Task, solver: Solver, settings: ISAM2Settings, *, chordal: bool, threads: int
+    task: _Task, solver: Solver, settings: ISAM2Settings, limits: dict[str, Any], *, initial: str, threads: int
 ) -> Solution | Incremental:
     from heliograph.cli.incremental import solve_incrementally
+    from heliograph.graph import SolverSettings
     from heliograph.graph import solve as minimise
 
     if solver is Solver.isam2:
         return solve_incrementally(task.graph, task.values, settings)
-    initial = "chordal" if chordal else "auto"
-    return minimise(task.graph, task.values, solver.value, initial=initial, threads=threads)
+    stop = SolverSettings(**limits)
+    return minimise(task.graph, task.values, solver.value, initial=initial, settings=stop, threads=threads)
 
 
 def parse_robust(text: str) -> Kernel:
@@ -168,7 +217,7 @@ def _check_folder(path: Path | None) -> None:
         raise OutputError(f"cannot write {path}: there is no folder {path.parent}; make it or choose another")
 
 
-def _task(path: Path, init: Init, kernel: Kernel | None) -> _Task:
+def _task(path: Path, init: Init, kernel: Kernel | None, reading: dict[str, Any]) -> _Task:
     """Read a graph and choose its start."""
     from heliograph.errors import ConfigError
     from heliograph.graph import load_graph, pose_graph_of, read_pose_graph
@@ -177,21 +226,24 @@ def _task(path: Path, init: Init, kernel: Kernel | None) -> _Task:
         if kernel is not None:
             raise ConfigError("--robust is for g2o and TORO files; an archive holds the kernels of its factors")
         graph, values = load_graph(path)
+        if any(reading.values()):
+            raise ConfigError("--repair-information, --missing-information and --skip-unknown are for text files")
         if init is Init.odometry:
             values = pose_graph_of(graph, values).odometry_values()
-        return _Task(graph=graph, values=values, file=None, start=init.value)
-    file = read_pose_graph(path)
+        return _Task(graph=graph, values=values, file=None, start="file" if init is Init.auto else init.value)
+    file = read_pose_graph(path, **reading)
     graph = file.graph(kernel=kernel)
     missing = len(file.missing_ids)
+    notes = list(file.notes)
     if init is Init.odometry or missing:
-        notes = []
         if init is not Init.odometry:
             total = len(file.pose_ids) + len(file.point_ids)
             whose = "no variable has" if missing == total else f"{missing} of {total} variables lack"
             notes.append(f"{whose} a vertex line in {path.name}, so the poses given are those of the odometry")
-        start = "odometry" if init is Init.file else init.value
+        start = init.value if init is Init.chordal else "odometry"
         return _Task(graph=graph, values=file.odometry_values(), file=file, start=start, notes=notes)
-    return _Task(graph=graph, values=file.values(), file=file, start=init.value)
+    start = "file" if init is Init.auto else init.value
+    return _Task(graph=graph, values=file.values(), file=file, start=start, notes=notes)
 
 
 def _is_archive(path: Path) -> bool:
@@ -240,18 +292,13 @@ def _facts(
     written: list[str],
 ) -> dict[str, Any]:
     """Return the account of a solution, as `--json` prints it."""
+    from heliograph.graph.batch.solution import doubts
     from heliograph.lie import SE2, SE3
 
     values = solution.values
     in_plane = len(values.block(SE2)[0])
     poses = in_plane + len(values.block(SE3)[0])
     dof = solution.degrees_of_freedom
-    warnings = []
-    if solution.status != "converged":
-        warnings.append(
-            f"the solver ended as {solution.status} after {solution.iterations} iterations: chi2 may be above the "
-            "optimum; try --init chordal or another --solver"
-        )
     return {
         "graph": str(path),
         "poses": poses,
@@ -275,7 +322,7 @@ def _facts(
         "seconds": dict(solution.seconds),
         **getattr(solution, "facts", {}),
         "notes": task.notes,
-        "warnings": warnings,
+        "warnings": list(doubts(solution.status, solution.iterations, solution.cost, dof)),
         "written": written,
     }
 

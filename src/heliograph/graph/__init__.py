@@ -3,7 +3,6 @@
 from heliograph.graph.batch.gnc import RobustSettings, RobustSolution, solve_robust
 from heliograph.graph.batch.marginals import Marginals
 from heliograph.graph.batch.solution import Solution
-from heliograph.graph.batch.solve import solve
 from heliograph.graph.diagnosis.diagnosis import Diagnosis, diagnose
 from heliograph.graph.diagnosis.free_motion import FreeMotion
 from heliograph.graph.draw import plot_poses, to_dot
@@ -23,8 +22,10 @@ from heliograph.graph.model.factors import Bearing, Between, Landmark, LinearMot
 from heliograph.graph.model.families import Family, family_of, vectors
 from heliograph.graph.model.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
 from heliograph.graph.model.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
+from heliograph.graph.model.symbols import Symbol, key_name
 from heliograph.graph.model.values import Values
 from heliograph.graph.problem.settings import SolverSettings
+from heliograph.graph.solver import solve
 
 __all__ = [
     "DCS",
@@ -59,12 +60,14 @@ __all__ = [
     "Solution",
     "SolverSettings",
     "SquareRoot",
+    "Symbol",
     "TruncatedLeastSquares",
     "Tukey",
     "UpdateResult",
     "Values",
     "diagnose",
     "family_of",
+    "key_name",
     "load_graph",
     "odometry_start",
     "plot_cliques",

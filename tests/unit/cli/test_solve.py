@@ -238,3 +238,71 @@ def test_public_graph_reaches_its_optimum(solve, shared_data):
     found, err = facts(solve(shared_data / "posegraphs" / "kitti_00.g2o", "--json"))
     assert found["final_chi2"] == pytest.approx(98.3221, rel=1e-4)
     assert "no variable has a vertex line" in err
+
+
+BAD = "EDGE_SE2 0 1 1 0 0 1 0 0 -1 0 1\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nROBOTLASER1 0 1\n"
+
+
+def test_repairs_are_options_and_said(solve, tmp_path):
+    (tmp_path / "bad.g2o").write_text(BAD)
+    code, out, err = solve("bad.g2o")
+    assert (code, out) == (2, "") and err.count("\n") == 1 and "--skip-unknown" in err
+    code, out, err = solve("bad.g2o", "--skip-unknown")
+    assert (code, out) == (2, "") and err.count("\n") == 1 and "--repair-information" in err
+    found, err = facts(solve("bad.g2o", "--skip-unknown", "--repair-information", "clamp", "--json"))
+    assert found["edges"] == 2
+    assert "passed over: lines of unknown tags, ROBOTLASER1 (1)" in found["notes"]
+    assert any("1 of 2 information matrices" in note and "clamped" in note for note in found["notes"])
+    assert "note: 1 of 2 information matrices" in err
+    skipped, _ = facts(solve("bad.g2o", "--skip-unknown", "--repair-information", "skip", "--json"))
+    assert skipped["edges"] == 1
+    (tmp_path / "bare.g2o").write_text("EDGE_SE2 0 1 1 0 0\n")
+    assert facts(solve("bare.g2o", "--missing-information", "identity", "--json"))[0]["edges"] == 1
+
+
+def test_limits_are_options(solve, city):
+    loose = facts(solve("city.g2o", "--tolerance", "0.5", "--json"))[0]
+    tight = facts(solve("city.g2o", "--tolerance", "1e-12", "--json"))[0]
+    assert loose["iterations"] < tight["iterations"] and loose["final_chi2"] > tight["final_chi2"]
+    found, err = facts(solve("city.g2o", "--max-iterations", "1", "--json"))
+    assert (found["iterations"], found["status"]) == (1, "max_iterations")
+    assert err.startswith("warning: the solver ended as max_iterations after 1 iterations")
+    code, _, err = solve("city.g2o", "--solver", "isam2", "--tolerance", "1")
+    assert code == 2 and err.count("\n") == 1 and "for the other solvers" in err
+
+
+def test_poor_end_is_one_warning_and_no_error(solve, rng, tmp_path):
+    file = with_false_loops(manhattan(120, rng), 0.3, rng).file
+    write_g2o(tmp_path / "spoilt.g2o", file.with_values(file.odometry_values()))
+    code, out, err = solve("spoilt.g2o")
+    assert code == 0 and err.count("\n") == 1
+    assert err.startswith("warning: the cost is ") and "honest noise gives about 1" in err
+    assert out.splitlines()[-1].startswith("status: ")
+
+
+def test_file_with_everything_fixed_has_nothing_to_do(solve, tmp_path):
+    (tmp_path / "held.g2o").write_text(
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nFIX 0 1\n"
+    )
+    code, out, err = solve("held.g2o", "-o", "out.g2o")
+    assert (code, err) == (0, "")
+    assert "start: nothing to estimate: every variable is held" in out
+    assert (tmp_path / "out.g2o").exists()
+
+
+def test_four_lines_with_a_prior_are_solved(solve, tmp_path):
+    text = (
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 2.5\nEDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_PRIOR_SE2 0 0 0 0 1 0 0 1 0 1\n"
+    )
+    (tmp_path / "four.g2o").write_text(text)
+    found, _ = facts(solve("four.g2o", "--json"))
+    assert found["final_chi2"] == pytest.approx(0.0, abs=1e-18)
+
+
+def test_fixed_landmarks_anchor_at_the_command_line(solve, tmp_path):
+    text = "VERTEX_SE2 0 0.5 0.3 0.1\nVERTEX_XY 10 4 1\nVERTEX_XY 11 3 -2\nVERTEX_XY 12 -1 3\n"
+    text += "".join(f"EDGE_SE2_XY 0 {k} {p} 1 0 1\n" for k, p in ((10, "4 1"), (11, "3 -2"), (12, "-1 3")))
+    (tmp_path / "points.g2o").write_text(text + "FIX 10 11 12\n")
+    found, err = facts(solve("points.g2o", "--json"))
+    assert err == "" and found["held"] == 3
+    assert found["final_chi2"] == pytest.approx(0.0, abs=1e-12)

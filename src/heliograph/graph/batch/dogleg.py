@@ -14,6 +14,8 @@ __all__ = ["dogleg"]
 
 _LEAST_GAIN = 1e-4  # of the predicted decrease: less is no progress
 _LEAST_RADIUS = 1e-12  # of the Gauss-Newton step: below it nothing can be won
+_NEARLY_FULL = 1e-8  # damping up to which the Gauss-Newton step counts as one
+_UNKEPT = 10.0  # times what a small step won: if the model promised more, its end is none
 _POOR, _GOOD = 0.25, 0.75  # gain ratios below and above which the region shrinks and grows
 
 
@@ -38,10 +40,10 @@ def dogleg(problem: Problem, settings: SolverSettings, cost: Cost, observe: Obse
     factorise defines the Gauss-Newton step.
     """
     trace = Trace(observe)
-    radius, model = np.inf, None
+    radius, model, damping = np.inf, None, 0.0
     while len(trace.steps) < settings.max_iterations:
         if model is None:
-            key = _factorize(problem, settings)
+            damping, key = _factorize(problem, settings)
             if key is not None:
                 return trace.minimum("indefinite", cost, key)
             model = _Model(problem)
@@ -58,8 +60,8 @@ def dogleg(problem: Problem, settings: SolverSettings, cost: Cost, observe: Obse
             cost = trial
         trace.record(cost, accepted=accepted, gain_ratio=gain, damping=length)
         full = length >= model.newton_length
-        if full and (decrease if accepted else predicted) <= small:
-            return trace.minimum("converged", cost)
+        if full and (decrease if accepted else predicted) <= small and predicted <= _UNKEPT * small:
+            return trace.minimum("converged" if damping <= _NEARLY_FULL else "stalled", cost)
         if not gain >= _POOR:
             radius = 0.25 * length
         elif gain > _GOOD:
@@ -72,17 +74,17 @@ def dogleg(problem: Problem, settings: SolverSettings, cost: Cost, observe: Obse
     return trace.minimum("max_iterations", cost)
 
 
-def _factorize(problem: Problem, settings: SolverSettings) -> int | None:
-    """Factorise with the least damping that works and solve for the Gauss-Newton step."""
+def _factorize(problem: Problem, settings: SolverSettings) -> tuple[float, int | None]:
+    """Factorise with the least damping that works and solve for the Gauss-Newton step; return it, or where it fails."""
     damping = 0.0
     while True:
         key = problem.factorize(damping, settings.damping_floor)
         if key is None:
             problem.linear_step(damping, settings.damping_floor)
-            return None
+            return damping, None
         damping = max(10.0 * damping, 1e-10)
         if damping > 1.0:
-            return key
+            return damping, key
 
 
 def _dot(a: Array, b: Array) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from heliograph.errors import GraphError
 from heliograph.graph.batch.chordal import chordal_values
 from heliograph.graph.batch.outcome import Minimum
+from heliograph.graph.batch.solution import POOR_COST
 from heliograph.graph.model.families import FAMILIES
 from heliograph.graph.model.values import Values
 from heliograph.graph.problem.problem import Cost, Problem
@@ -27,8 +28,6 @@ _POOR_SHARE = 1e-3
 _WIDE_ANGLE = 0.3
 _WIDE_SHARE = 0.05
 
-# Honest noise gives a cost of about one a degree of freedom at the optimum; above this the end is doubted.
-_POOR_COST = 3.0
 _FEW = 20
 
 _BETWEEN = 2
@@ -106,7 +105,7 @@ def second_start(problem: Problem, values: Values, end: Minimum) -> Start | None
         What the solver found from them.
     """
     freedom = max(problem.rows - problem.free_scalars, 1)
-    settled = end.status == "converged" and end.cost <= _POOR_COST * freedom
+    settled = end.status == "converged" and end.cost <= POOR_COST * freedom
     # Who allows only a few steps gets no more of them.
     few = end.status == "max_iterations" and len(end.iterations) < _FEW
     if settled or few or end.status == "indefinite":

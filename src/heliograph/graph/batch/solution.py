@@ -10,7 +10,9 @@ from heliograph.graph.batch.outcome import Iteration
 from heliograph.graph.diagnosis.diagnosis import Diagnosis
 from heliograph.graph.model.values import Values
 
-__all__ = ["Solution"]
+__all__ = ["POOR_COST", "Solution", "doubts"]
+
+POOR_COST = 3.0  # a degree of freedom: honest noise gives about one at the optimum; above this the end is doubted
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,7 +24,8 @@ class Solution:
     values : Values
         The estimate.
     status : str
-        ``converged``, ``max_iterations``, ``stalled``, ``diverged``.
+        ``converged``, ``max_iterations``, ``stalled`` (no step lowers the cost although the model says so),
+        ``diverged`` (Gauss-Newton's cost rose).
     iterations : int
         Steps tried.
     initial_chi2, chi2 : float
@@ -59,3 +62,36 @@ class Solution:
     seconds: Mapping[str, float]
     diagnosis: Diagnosis
     plan: Mapping[str, Any]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is doubtful about the estimate, and what may help; empty where nothing is."""
+        return doubts(self.status, self.iterations, self.cost, self.degrees_of_freedom)
+
+
+def doubts(status: str, iterations: int, cost: float, degrees_of_freedom: int) -> tuple[str, ...]:
+    """Return what is doubtful about the end of a search, and what may help.
+
+    Parameters
+    ----------
+    status : str
+        As a solver says it.
+    iterations : int
+        Steps tried.
+    cost : float
+        At the end; robust where kernels are.
+    degrees_of_freedom : int
+        Rows less estimated scalars.
+    """
+    out = []
+    if status != "converged":
+        out.append(
+            f"the solver ended as {status} after {iterations} iterations: chi2 may be above the optimum; give it more "
+            "iterations, another start or another solver"
+        )
+    if degrees_of_freedom > 0 and cost > POOR_COST * degrees_of_freedom:
+        out.append(
+            f"the cost is {cost / degrees_of_freedom:.3g} a degree of freedom where honest noise gives about 1: the "
+            "end is no optimum, some measurements are wrong, or their sigmas are too small"
+        )
+    return tuple(out)

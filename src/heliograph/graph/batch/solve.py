@@ -15,7 +15,7 @@ from heliograph.graph.batch.initial import Start, choose_start, second_start
 from heliograph.graph.batch.levenberg_marquardt import levenberg_marquardt
 from heliograph.graph.batch.outcome import Iteration, Minimum, Observer
 from heliograph.graph.batch.solution import Solution
-from heliograph.graph.diagnosis.diagnosis import require_determined, require_solved
+from heliograph.graph.diagnosis.diagnosis import Diagnosis, require_determined, require_solved
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.values import Values
 from heliograph.graph.problem.problem import Cost, Problem
@@ -38,37 +38,16 @@ def solve(
     threads: int = 1,
     observer: Observer | None = None,
 ) -> Solution:
-    """Minimise the sum of squared (robust) residuals of a graph.
+    """Minimise the sum of squared (robust) residuals from a given or a chordal start; see `heliograph.graph.solve`.
 
-    Parameters
-    ----------
-    graph : FactorGraph
-        The factors, and which variables are held.
-    values : Values
-        Where to start; one value for every variable.
-    method : str
-        ``lm`` (Levenberg-Marquardt), ``gn`` (Gauss-Newton) or ``dogleg``.
-    initial : str
-        ``given``; ``chordal``; ``auto``: the given one, unless it has many rotations far off or ends badly, and the
-        chordal one costs less.
-    settings : SolverSettings, optional
-        When to stop, ordering.
-    threads : int
-        For the native parts; the result is the same bits for any number.
-    observer : callable, optional
-        Told of every `Iteration`.
-
-    Raises
-    ------
-    GraphError
-        The graph does not fit the values, or a residual is not finite.
-    UnderconstrainedError
-        Variables are not determined by the graph; the message names them and the directions in which they are free.
+    Without anything to estimate the values come back as they are.
     """
     _check(method, initial)
     problem = Problem(graph, values, threads=threads)
+    if not len(values):
+        raise GraphError("the graph leaves nothing to estimate: it has no variables")
     if problem.free_scalars == 0:
-        raise GraphError("the graph leaves nothing to estimate: every variable is held, or there is none")
+        return _nothing(problem)
     run = _Run(METHODS[method], settings or SolverSettings(), observer or _ignore, _Clock())
     problem.analyze(run.settings.ordering)
     run.clock.lap("order")
@@ -95,6 +74,28 @@ def solve(
         seconds=run.clock.seconds(),
         diagnosis=diagnosis,
         plan=problem.native.plan(),
+    )
+
+
+def _nothing(problem: Problem) -> Solution:
+    """Return the values as they are, all of them held."""
+    cost = problem.cost()
+    problem.check_finite(cost)
+    return Solution(
+        values=problem.values(),
+        status="converged",
+        iterations=0,
+        initial_chi2=cost.chi2,
+        chi2=cost.chi2,
+        initial_cost=cost.cost,
+        cost=cost.cost,
+        rows=problem.rows,
+        degrees_of_freedom=problem.rows,
+        start="nothing to estimate: every variable is held",
+        steps=(),
+        seconds={"total": 0.0},
+        diagnosis=Diagnosis(free=(), everywhere=True),
+        plan={},
     )
 
 
