@@ -170,6 +170,9 @@ void bind_graph_tree(nb::module_& m) {
            "variables"_a.noconvert())
       .def("drop_left", [](SharedTree& t) { return to_array(t.call([](BayesTree& tree) { return tree.drop_left(); })); })
       .def("counts", [](SharedTree& t) { return t.look([](BayesTree& tree) { return tree.counts(); }); })
+      .def("factors_of", [](SharedTree& t, int32_t v) {
+             return to_array(t.call([&](BayesTree& tree) { return tree.factors_of(v); }));
+           }, "variable"_a)
       .def("held", [](SharedTree& t, int32_t v) { return t.look([&](BayesTree& tree) { return tree.held(v); }); },
            "variable"_a)
       .def("estimate", [](SharedTree& t, const Indices& v) {

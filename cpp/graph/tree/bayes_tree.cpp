@@ -71,6 +71,26 @@ bool BayesTree::held(int32_t variable) const {
   return store_.variables.held(variable);
 }
 
+// Factors are assembled where the first of their variables is eliminated: in its clique, or below in one that has it as a row.
+std::vector<int32_t> BayesTree::factors_of(int32_t variable) const {
+  check_slots({&variable, 1});
+  std::vector<int32_t> found, stack;
+  if (const int32_t clique = store_.variables.clique_of(variable); clique >= 0) stack.push_back(clique);
+  while (!stack.empty()) {
+    const int32_t c = stack.back();
+    stack.pop_back();
+    const Clique& clique = store_.cliques[c];
+    if (std::find(clique.nodes.begin(), clique.nodes.end(), variable) == clique.nodes.end()) continue;
+    for (int32_t f = clique.first_factor; f >= 0; f = store_.factors[f].next) {
+      const std::span<const int32_t> scope = store_.factors.scope(store_.factors[f]);
+      if (std::find(scope.begin(), scope.end(), variable) != scope.end()) found.push_back(f);
+    }
+    store_.cliques.each_child(c, [&](int32_t child) { stack.push_back(child); });
+  }
+  std::sort(found.begin(), found.end());
+  return found;
+}
+
 std::vector<double> BayesTree::estimate(std::span<const int32_t> variables) {
   check_slots(variables);
   return steps_.estimate(variables);

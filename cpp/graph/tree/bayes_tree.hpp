@@ -85,6 +85,7 @@ class BayesTree {
   size_t deferred() const { return steps_.deferred(); }  // branches whose steps are old
   bool idle() const { return journal_.idle(); }          // no update is under way
   bool held(int32_t variable) const;
+  std::vector<int32_t> factors_of(int32_t variable) const;  // in the tree, ascending; none of a held variable
   std::vector<double> estimate(std::span<const int32_t> variables);  // packed, one after another; never an old step
   std::vector<double> linearization_point(std::span<const int32_t> variables) const;
   std::span<const double> theta() const { return store_.variables.all_theta(); }

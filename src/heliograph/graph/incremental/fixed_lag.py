@@ -60,6 +60,7 @@ class FixedLagSmoother:
         stamps: Mapping[int, float] | tuple[ArrayLike, ArrayLike] | None = None,
         *,
         remove: ArrayLike = (),
+        remove_variables: ArrayLike = (),
         iterate: float | None = None,
         max_variables: int | None = None,
     ) -> UpdateResult:
@@ -71,7 +72,7 @@ class FixedLagSmoother:
             New factors and variables.
         stamps : mapping of key to time, or (keys, times), optional
             Stamps of new variables, or later ones of variables that are to be kept longer. Finite.
-        remove, iterate, max_variables
+        remove, remove_variables, iterate, max_variables
             As `ISAM2.update` takes them. While variables wait to be eliminated nothing is marginalised out.
 
         Raises
@@ -80,7 +81,16 @@ class FixedLagSmoother:
             A stamp is not finite or is of an unknown key, or as `ISAM2.update` says. Nothing has changed.
         """
         times = self._checked(stamps, values)
-        result = self.smoother.update(graph, values, remove=remove, iterate=iterate, max_variables=max_variables)
+        result = self.smoother.update(
+            graph,
+            values,
+            remove=remove,
+            remove_variables=remove_variables,
+            iterate=iterate,
+            max_variables=max_variables,
+        )
+        for key in as_keys(remove_variables).reshape(-1).tolist():
+            self._stamps.pop(key, None)
         for key, time in times.items():
             if self.smoother._state.held(key):
                 continue

@@ -9,7 +9,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
-from heliograph.arrays import Array
+from heliograph.arrays import Array, Keys
 from heliograph.errors import GraphError
 from heliograph.graph.incremental.budget import Budget, Policy
 from heliograph.graph.incremental.cliques import CliqueRecord, clique_records
@@ -56,6 +56,7 @@ class ISAM2:
         values: Values | None = None,
         *,
         remove: ArrayLike = (),
+        remove_variables: ArrayLike = (),
         iterate: float | None = None,
         max_iterations: int = 50,
         costs: bool = False,
@@ -68,9 +69,11 @@ class ISAM2:
         graph : FactorGraph, optional
             New factors, between old and new variables.
         values : Values, optional
-            Where the new variables start.
+            Where the new variables start. One that no factor touches yet waits until one does: see `early`.
         remove : (M,) int
             Numbers of factors to take out.
+        remove_variables : (K,) int
+            Keys of variables to take out with their last factors: all factors that touch them are in `remove`.
         iterate : float, optional
             Go on until no element of a step is longer than this [rad, m].
         max_iterations : int
@@ -98,8 +101,9 @@ class ISAM2:
         """
         _check_bound(max_variables, iterate)
         state, policy, tally = self._state, self._policy, Tally()
+        leaving = state.leaving(remove_variables, remove, graph)
         added = state.add(graph, values)  # (1) new variables and factors, and factors that leave
-        state.remove(remove)
+        state.remove(remove, leaving)
         before = state.cost() if costs else None
         tally.lap("add")
         exact = iterate is not None or (graph is None and values is None and max_variables is None)
@@ -117,10 +121,14 @@ class ISAM2:
             policy.spend(budget, relinearized, caught_up)
             tally.add(relinearized, state.native.counts())
         policy.end_update()
+        if leaving is not None:
+            self.marginalize(remove_variables)
+        pending = state.pending()
         return tally.result(
             factors=added,
-            converged=state.converged(iterate),
-            pending=state.pending(),
+            settled=not pending,
+            converged=iterate is not None and state.converged(iterate),
+            pending=pending,
             deferred=state.native.deferred,
             cost_before=before,
             cost_after=state.cost() if costs else None,
@@ -157,7 +165,7 @@ class ISAM2:
         The summary holds at the neighbours' linearisation points, which are kept from then on (first estimates): moved,
         they would disagree with it about the directions that the measurements leave free. Estimates and covariances of
         what stays are as before. Memory of what leaves is used again, and so are the numbers of its
-        factors; its keys cannot be.
+        factors; its keys may be, for other variables.
 
         Parameters
         ----------
@@ -188,6 +196,11 @@ class ISAM2:
             There is no such factor.
         """
         self._state.switch(factors, on)
+
+    @property
+    def early(self) -> Keys:
+        """Keys of variables (K,) that have a value and no factor yet."""
+        return self._state.early.values.keys()
 
     def covariance(self, keys: ArrayLike) -> Array:
         """Return the covariance of one variable (d, d), or of several of one size (N, d, d).

@@ -85,6 +85,9 @@ class ReplayOrder:
         anchors = set(self._graph.fixed.tolist())
         for added in self._of("Prior", "Position"):
             anchors.update(added.record.keys[:, 0].tolist())
+        for added in self._of("Landmark"):  # who sees a held point is tied to the world by it
+            keys = added.record.keys
+            anchors.update(keys[np.isin(keys[:, 1], self._graph.fixed), 0].tolist())
         waiting: set[int] = set()
         before = None
         for step, key in enumerate(self._poses.tolist()):
@@ -126,7 +129,7 @@ class ReplayOrder:
 
     def _see(self) -> None:
         """Let points arrive with the first sighting that determines them; with the last, where none does alone."""
-        points = set(self._points.tolist())
+        points, held = set(self._points.tolist()), set(self._graph.fixed.tolist())
         best: dict[int, tuple[bool, int, Source]] = {}
         for added in self._of("Landmark"):
             full = _determined(added)
@@ -134,7 +137,10 @@ class ReplayOrder:
                 if point not in points or pose not in self._step:
                     raise GraphError(f"{added.name(row)}: a replay takes sightings of points from poses")
                 partial, step = not full[row], self._step[pose]
-                now = (partial, -step if partial else step, Source(point, pose, added.record.measurement[row]))
+                if point in held:
+                    now = (False, step, Source(point, None, self._values.at(point)))
+                else:
+                    now = (partial, -step if partial else step, Source(point, pose, added.record.measurement[row]))
                 if point not in best or now[:2] < best[point][:2]:
                     best[point] = now
         for point in self._points.tolist():

@@ -6,7 +6,11 @@ from dataclasses import dataclass
 
 from heliograph.config_checks import check_range
 
-__all__ = ["ISAM2Settings"]
+__all__ = ["CONSTRAINT_SIGMA", "ISAM2Settings"]
+
+# What a hard constraint weighs in the tree [rad, m]: far below any sensor's sigma, and its information far enough from
+# 10^16 times that of the weakest factor for double precision.
+CONSTRAINT_SIGMA = 1e-5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

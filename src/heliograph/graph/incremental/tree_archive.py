@@ -63,7 +63,10 @@ def state_arrays(state: TreeState) -> _Arrays:
                 items = [entry.data[n][d] for n in members]
                 arrays[f"{prefix}.data{d}"] = np.array(items, dtype=np.float64).reshape(len(members), *shape)
     runs = [[name_of(family), len(list(run))] for family, run in groupby(state._families)]
-    contents = {"families": runs, "kinds": kinds}
+    early = state.early.values
+    for k, (family, packed) in enumerate(zip(early.families(), early.packed(), strict=True)):
+        arrays[f"early{k}.keys"], arrays[f"early{k}.packed"] = early.block(family)[0], packed
+    contents = {"families": runs, "kinds": kinds, "early": [name_of(family) for family in early.families()]}
     arrays["contents"] = np.frombuffer(json.dumps(contents).encode(), dtype=np.uint8)
     return arrays
 
@@ -96,6 +99,9 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
         if own is not None:
             members = _own_members(CustomKind(own, families), arrays, f"own{number}", len(shapes))
             state._custom.kinds[number] = members
+    for k, name in enumerate(contents.get("early", ())):  # an earlier version had none
+        family = family_called(name)
+        state.early.values.insert(arrays[f"early{k}.keys"], family.unpack(arrays[f"early{k}.packed"]))
     state.native.load(arrays["tree"].tobytes())
     slots = {state.native.slots, len(state._keys), len(state._families)}
     if state.native.variables != len(state._number) or len(slots) != 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -14,13 +15,17 @@ from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.diagnosis.diagnosis import diagnose
 from heliograph.graph.incremental.budget import UNBOUNDED, Budget
 from heliograph.graph.incremental.custom_factors import CustomFactors, CustomKind
+from heliograph.graph.incremental.early import EarlyVariables
+from heliograph.graph.incremental.settings import CONSTRAINT_SIGMA
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import Added, FactorGraph
+from heliograph.graph.model.factors import Prior
 from heliograph.graph.model.families import Family, Value
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.key_runs import KeyRuns
-from heliograph.graph.model.noise import Whitening
+from heliograph.graph.model.noise import Isotropic, Whitening
 from heliograph.graph.model.records import as_keys, key_list
+from heliograph.graph.model.symbols import key_name
 from heliograph.graph.model.values import Values
 
 __all__ = ["TreeState"]
@@ -54,17 +59,21 @@ class TreeState:
         self._left = KeyRuns()
         self._kinds: dict[KindName, int] = {}
         self._custom = CustomFactors()
+        self.early = EarlyVariables()
         self._switched: dict[int, float] = {}  # weights that the next update brings in
         # The update that is under way adds these variables and custom factors, and removes these factors.
         self._fresh: set[int] = set()
         self._entered: list[int] = []
         self._removed: list[int] = []
+        self._made = False  # a pass of it has ended
 
     def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
         """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
         graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
         values = Values() if values is None else values
-        self._add_variables(values)
+        keys, self._made = values.keys().tolist(), False
+        self._check_new(keys)
+        self._add_variables(self.early.enter(graph, values, keys))
         try:
             staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
             held = self._held(graph.fixed)
@@ -80,16 +89,19 @@ class TreeState:
             numbers[part.rows] = self._add_factors(part)
         return numbers
 
-    def _add_variables(self, values: Values) -> None:
-        keys = values.keys().tolist()
+    def _check_new(self, keys: list[int]) -> None:
         known = [key for key in keys if key in self._number]
         if known:
             raise GraphError(
                 f"{key_list(np.array(known))}: already in the smoother; give a value once, when a variable is new"
             )
-        left = [key for key in keys if key in self._left]
-        if left:
-            raise GraphError(f"{key_list(np.array(left))}: marginalised out; a key is not used again, take a new one")
+        if len(self.early.values):
+            twice = [key for key in keys if key in self.early.values]
+            if twice:
+                raise GraphError(f"{key_list(np.array(twice))}: has a value already and waits for its first factor")
+
+    def _add_variables(self, values: Values) -> None:
+        keys = values.keys().tolist()
         at = 0
         for family, packed in zip(values.families(), values.packed(), strict=True):
             for number in self.native.add_variables(family.code, family.dof, packed.reshape(-1)).tolist():
@@ -112,10 +124,13 @@ class TreeState:
             if number >= self.native.slots:
                 del self._keys[number], self._families[number]
         self._custom.drop(self._entered)
+        self.early.roll_back()
         self._end_update()
 
     def _commit_names(self) -> None:
         self._custom.drop(self._removed)
+        self.early.commit()
+        self._made = True
         self._end_update()
 
     def _end_update(self) -> None:
@@ -171,17 +186,23 @@ class TreeState:
 
     def marginalize(self, keys: ArrayLike) -> None:
         """Take variables out of the tree; what their factors said stays as a summary."""
-        numbers = self._numbers(as_keys(keys).reshape(-1), lambda: "to be marginalised out")
+        leaving = as_keys(keys).reshape(-1)
+        early = [key for key in leaving.tolist() if key in self.early.values]
+        numbers = self._numbers(leaving[~np.isin(leaving, early)], lambda: "to be marginalised out")
         held = [self._keys[number] for number in numbers.tolist() if self.native.held(number)]
         if held:
             raise GraphError(f"{key_list(np.array(held))}: held by `fix`; what is known is not marginalised out")
+        self.early.drop(early)
+        if not numbers.size:
+            return
         self.native.leave(numbers)
         self.detach()
         self.native.reorder()
         failed = self.native.eliminate(UNBOUNDED)
         if failed >= 0:
+            name = key_name(self._keys[failed])
             raise UnderconstrainedError(
-                f"key {self._keys[failed]}: not determined where it was last linearised; nothing was marginalised out"
+                f"key {name}: not determined where it was last linearised; nothing was marginalised out"
             )
         summarised = self.native.drop_left().tolist()
         self._custom.drop(summarised)
@@ -203,11 +224,48 @@ class TreeState:
             )
 
     def __contains__(self, key: object) -> bool:
-        return key in self._number
+        return key in self._number or key in self.early.values
 
     def held(self, key: int) -> bool:
         """Return whether a variable is held at its value."""
-        return bool(self.native.held(self._number[key]))
+        return key in self._number and bool(self.native.held(self._number[key]))
+
+    def leaving(self, keys: ArrayLike, removed: ArrayLike, added: FactorGraph | None) -> FactorGraph | None:
+        """Return what holds variables in place of factors that are removed, until they leave; None: there are none.
+
+        Raises
+        ------
+        GraphError
+            A key is unknown or held, or has factors that are not removed or that are added.
+        """
+        asked = as_keys(keys).reshape(-1)
+        if not asked.size:
+            return None
+        self._nothing_waiting()
+        asked = asked[[key not in self.early.values for key in asked.tolist()]]  # what has no factor just goes
+        numbers = self._numbers(asked, lambda: "to be removed")
+        for new in () if added is None else added.groups():
+            touched = np.isin(new.record.keys, asked)
+            if touched.any():
+                raise GraphError(f"{new.name(int(np.argmax(touched.any(axis=1))))}: joins a variable that is removed")
+        going, graph = set(np.asarray(removed, dtype=np.int64).reshape(-1).tolist()), FactorGraph()
+        for key, number in zip(asked.tolist(), numbers.tolist(), strict=True):
+            if self.native.held(number):
+                raise GraphError(f"key {key_name(key)}: held by `fix`; what is known is not removed")
+            stay = sorted(set(self.native.factors_of(number).tolist()) - going)
+            if stay:
+                raise GraphError(
+                    f"key {key_name(key)}: still has the factors {', '.join(map(str, stay[:8]))}; remove them with it, "
+                    "or marginalise it out"
+                )
+            graph.add(Prior(key, self.at(key), Isotropic(1.0)))
+        return graph
+
+    def _hold_leaving(self, graph: FactorGraph) -> None:
+        """Give what `leaving` returned to the update that is under way."""
+        for added in graph.groups():
+            for part in self._stage(added):
+                self._add_factors(part)
 
     def _held(self, keys: NDArray[np.int64]) -> Ints | None:
         if not keys.size:
@@ -225,12 +283,15 @@ class TreeState:
             left = keys[np.array([key in self._left for key in keys.ravel().tolist()]).reshape(keys.shape)]
             if left.size:
                 raise GraphError(f"{key_list(left)}: {what()}, but marginalised out; name only keys that are kept")
+            early = np.array([key for key in keys[found < 0].tolist() if key in self.early.values], dtype=np.int64)
+            if early.size:
+                raise GraphError(f"{key_list(early)}: {what()}, but without a factor so far; add one first")
             raise GraphError(f"{key_list(keys[found < 0])}: {what()}, but without a value; insert one with the factor")
         return found
 
     def _stage(self, added: Added) -> list[_Staged]:
         if added.whitening.constrained:
-            raise GraphError(f"{added.name(0)}: a hard constraint; they can be solved for in a batch only")
+            added = Added(first=added.first, record=added.record, whitening=stiff(added.whitening))
         scopes = self._numbers(added.record.keys, lambda: f"in {added.name(0)} and what follows it")
         combinations: dict[tuple[Family, ...], list[int]] = {}
         for row, scope in enumerate(scopes.tolist()):
@@ -293,8 +354,10 @@ class TreeState:
         self._entered += self._custom.enter(part.kind, numbers, part.scopes, part.data)
         return numbers
 
-    def remove(self, numbers: ArrayLike) -> None:
-        """Take factors out, and bring in what was switched, with the next elimination."""
+    def remove(self, numbers: ArrayLike, leaving: FactorGraph | None = None) -> None:
+        """Take factors out, and bring in what was switched, with the next elimination; `leaving` as it returned it."""
+        if leaving is not None:
+            self._hold_leaving(leaving)
         if isinstance(numbers, tuple) and not numbers and not self._switched:
             return
         array = np.asarray(numbers, dtype=np.int32).reshape(-1)
@@ -327,8 +390,13 @@ class TreeState:
 
     def _refused(self, variable: int, graph: FactorGraph | None, values: Values | None) -> str:
         """Return why an update was refused, and drop its variables; the tree has undone the rest."""
-        key = self._keys[variable]
-        text = f"the update would leave key {key} undetermined; it was not made, and the smoother stays as it was"
+        name = key_name(self._keys[variable])
+        if self._made:
+            return (
+                f"key {name}: not determined where the update has moved it; it was made, but not repeated from there: "
+                "look at its measurements, and remove its factors by their numbers"
+            )
+        text = f"the update would leave key {name} undetermined; it was not made, and the smoother stays as it was"
         if values is not None and variable in self._fresh:
             text = self._free(FactorGraph() if graph is None else graph, values) or text
         self._roll_back_names()
@@ -336,12 +404,16 @@ class TreeState:
 
     def _free(self, graph: FactorGraph, values: Values) -> str | None:
         """Return what is free of the new variables if all old ones are taken as known."""
-        local, start = graph.copy(), values.copy()
-        keys = np.unique(np.concatenate([values.keys(), *(added.record.keys.reshape(-1) for added in graph.groups())]))
-        old = np.array([key for key in keys.tolist() if self._number[key] not in self._fresh], dtype=np.int64)
-        for key in old.tolist():
-            start.insert(key, self.at(key))
-        local.fix(old)
+        local, start, old = graph.copy(), Values(), []
+        fresh = [self._keys[number] for number in self._fresh]
+        keys = np.unique(np.concatenate([fresh, *(added.record.keys.reshape(-1) for added in graph.groups())]))
+        for key in keys.astype(np.int64).tolist():
+            if self._number[key] in self._fresh:
+                start.insert(key, (values if key in values else self.early.values).at(key))
+            else:
+                start.insert(key, self.at(key))
+                old.append(key)
+        local.fix(np.array(old, dtype=np.int64))
         found = diagnose(local, start)
         return None if found.ok else f"{found.message}; the update was not made, and the smoother stays as it was"
 
@@ -383,6 +455,8 @@ class TreeState:
     def at(self, keys: ArrayLike) -> Value:
         """Return the estimate of keys of one family: a lie value or an array."""
         array = as_keys(keys)
+        if len(self.early.values) and all(key in self.early.values for key in array.reshape(-1).tolist()):
+            return self.early.values.at(keys)
         numbers = self._numbers(array.reshape(-1), lambda: "asked for")
         family = self._families[numbers[0]]
         if any(self._families[v] is not family and self._families[v] != family for v in numbers.tolist()):
@@ -393,8 +467,6 @@ class TreeState:
     def values(self) -> Values:
         """Return the estimate of every variable."""
         values = Values()
-        if not self._number:
-            return values
         order: dict[Family, list[int]] = {}
         for number in self._number.values():
             order.setdefault(self._families[number], []).append(number)
@@ -402,4 +474,11 @@ class TreeState:
         for family, members in order.items():
             numbers = np.array(members, dtype=np.int32)
             values.insert(keys[numbers], family.unpack(self.native.estimate(numbers).reshape(-1, family.storage)))
+        for family in self.early.values.families():
+            values.insert(*self.early.values.block(family))
         return values
+
+
+def stiff(whitening: Whitening) -> Whitening:
+    """Return the noise that stands for a hard constraint in the tree, see `CONSTRAINT_SIGMA`."""
+    return replace(whitening, sqrt_information=whitening.sqrt_information / CONSTRAINT_SIGMA, constrained=False)

@@ -37,8 +37,12 @@ class UpdateResult:
     iterations : int
         Passes: one; two where variables moved beyond the threshold and the first was cheap; more only where convergence
         was asked for.
+    settled : bool
+        Nothing is pending or deferred: no variable is farther than the threshold from where its factors were
+        linearised. That bounds no cost: after a loop that bends a long trajectory it may be percents above the optimum.
     converged : bool
-        Nothing is pending or deferred, and no step is longer than the threshold that was asked for.
+        Convergence was asked for (`iterate`), and no element of a step is longer than that: one more step of
+        Gauss-Newton would change nothing beyond it. Without `iterate` nothing has looked, and it is False.
     pending : int
         What waits for a later update, where the work of this one was bounded: variables to be eliminated, else
         variables to be relinearised, else `deferred`.
@@ -57,6 +61,7 @@ class UpdateResult:
     linearized: int
     solved: int
     iterations: int
+    settled: bool
     converged: bool
     pending: int = 0
     deferred: int = 0
@@ -109,6 +114,7 @@ class Tally:
         self,
         *,
         factors: Ints,
+        settled: bool,
         converged: bool,
         pending: int,
         deferred: int,
@@ -125,6 +131,7 @@ class Tally:
             iterations=self.iterations,
             seconds=self.seconds,
             factors=factors,
+            settled=settled,
             converged=converged,
             pending=pending,
             deferred=deferred,

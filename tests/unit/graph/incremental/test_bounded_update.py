@@ -74,8 +74,8 @@ def test_ends_where_the_unbounded_one_ends(most, own):
     while (result := sliced.update(max_variables=most)).pending:
         assert result.reeliminated <= most
         assert result.relinearized <= most
-        assert not result.converged
-    assert result.converged
+        assert not result.settled
+    assert result.settled
     keys = np.arange(N)
     for smoother in (whole, sliced):
         smoother.update(iterate=1e-11)
@@ -98,7 +98,7 @@ def test_estimates_are_kept_until_the_work_is_done():
     before = smoother.estimate(np.arange(101)).matrix
     result = smoother.update(graph_of(Between(0, 100, SE2.exp(np.zeros(3)), Isotropic(0.01))), max_variables=10)
     assert result.pending > 0
-    assert not result.converged
+    assert not result.settled
     np.testing.assert_array_equal(smoother.estimate(np.arange(101)).matrix, before)
     with pytest.raises(GraphError, match="finish"):
         smoother.covariance(3)

@@ -42,7 +42,7 @@ def test_an_update_computes_at_most_max_steps_and_says_what_it_deferred():
     results = [result for _, result in round_trip(FEW)]
     behind = [result for result in results if result.deferred]
     assert behind
-    assert all(result.pending and not result.converged for result in behind)
+    assert all(result.pending and not result.settled for result in behind)
     # Beyond the limit only what is new itself, and the clique with which the limit is reached.
     assert all(result.solved <= result.reeliminated + 2 * FEW + 8 for result in behind)
     most = max(result.solved - result.reeliminated for _, result in round_trip(10_000))

@@ -71,9 +71,9 @@ def refused_point(smoother):
     assert "direction" in str(caught.value) or "degree" in str(caught.value)
 
 
-def refused_alone(smoother):
-    with pytest.raises(UnderconstrainedError, match=str(NEW)):
-        smoother.update(None, started(NEW, SE2.identity()))
+def refused_again(smoother):
+    with pytest.raises(GraphError, match="key 3: already in the smoother"):
+        smoother.update(None, started(3, SE2.identity()))
 
 
 def refused_pose(smoother):
@@ -101,6 +101,17 @@ def refused_switch(smoother):
     assert bits(smoother) == before
 
 
+def test_what_leads_out_of_all_numbers_is_told_from_what_was_not_made():
+    smoother = ISAM2()
+    smoother.update(added(fix=[0]), started(0, SE2.identity()))
+    graph = added(Between(0, 1, SE2.identity(), Isotropic(0.1)), Position(1, [1e200, 0.0], Isotropic(1.0)))
+    with pytest.raises(UnderconstrainedError, match="key 1: not determined where the update has moved it; it was made"):
+        smoother.update(graph, started(1, SE2.identity()))
+    assert 1 in smoother
+    smoother.update(remove=[0, 1], remove_variables=[1])
+    assert 1 not in smoother
+
+
 def refused_evaluation(smoother):
     graph = added(Prior(NEW, SE2.identity(), Isotropic(0.1)), Fails(NEW, noise=Isotropic(1.0)))
     with pytest.raises(GraphError, match="Fails"):
@@ -118,7 +129,7 @@ def refused_key(smoother):
         smoother.update(added(Between(2, 987_654, SE2.identity(), Isotropic(0.2))), Values())
 
 
-REFUSALS = [refused_point, refused_alone, refused_pose, refused_evaluation, refused_number, refused_key]
+REFUSALS = [refused_point, refused_again, refused_pose, refused_evaluation, refused_number, refused_key]
 
 
 @pytest.mark.parametrize("settings", [None, EAGER])
