@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from heliograph.arrays import Array, Indices
+from heliograph.arrays import Array, Indices, freeze
 from heliograph.errors import ConfigError
 from heliograph.graph.files.posegraph import PoseGraphFile
 from heliograph.graph.files.row_kinds import KINDS, numbers_of
@@ -47,6 +47,9 @@ class Park:
     tree: Indices
     p_i: Array
     sigmas: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @cached_property
     def file(self) -> PoseGraphFile:
