@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import calibrate, graph, graph_incremental, graph_scale, imu, imu_gnss, kitti, speed, start, table
+from benchmarks import calibrate, graph, graph_incremental, graph_scale, imu, imu_gnss, kitti, lio, speed, start, table
 from benchmarks.rivals import ADAPTERS
 
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
 _GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale")
-_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "calibrate")
-_NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss")
-_RUNS = {"imu": 20, "speed": 5, "start": 3, "graph": 7, "graph-scale": 1, "graph-incremental": 5}
+_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "lio", "calibrate")
+_NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio")
+_RUNS = {"imu": 20, "lio": 5, "speed": 5, "start": 3, "graph": 7, "graph-scale": 1, "graph-incremental": 5}
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
 
@@ -108,6 +108,9 @@ def main() -> None:
         _write("imu", imu.measure(arguments.work, rival, runs=arguments.runs or _RUNS["imu"]))
     if "imu-gnss" in wanted:
         _write("imu_gnss", imu_gnss.compare(arguments.data.parent / "kitti_00", arguments.work, rival))
+    if "lio" in wanted:
+        folder, runs = arguments.data.parent / "kitti_00", arguments.runs or _RUNS["lio"]
+        _write("lio", lio.compare(folder, arguments.work, rival, Path(sys.executable), runs=runs))
     if any(name.startswith("graph") for name in wanted):
         _graphs(arguments, wanted)
     if "calibrate" in wanted:

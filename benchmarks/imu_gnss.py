@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from benchmarks.imu_drive import (
@@ -32,9 +33,10 @@ from benchmarks.imu_drive import (
     smooth_online,
 )
 from heliograph.arrays import Array
+from heliograph.data import ImuNoise
 from heliograph.graph import Marginals
 
-__all__ = ["compare", "cut_rows", "cut_summary", "lag_of", "write_task"]
+__all__ = ["compare", "cut_rows", "cut_summary", "lag_of", "readings", "write_task"]
 
 _HERE = Path(__file__).resolve().parent
 _LAGS = np.arange(-0.06, 0.19, 0.04)  # seconds
@@ -92,9 +94,9 @@ def cut_summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def write_task(drive: Drive, task: Task, target: Path) -> None:
-    """Write the task for a rival: readings in the middle of every step, and the noise of each."""
-    imu, stamps = drive.imu, drive.stamps_ns
+def readings(drive: Drive, stamps: NDArray[np.int64], noise: ImuNoise = NOISE) -> dict[str, Any]:
+    """Return the readings in the middle of every step, the noise of each, and the first step from each stamp on."""
+    imu = drive.imu
     knots = np.unique(np.concatenate([imu.stamps_ns, stamps]))
     knots = knots[(knots >= stamps[0]) & (knots <= stamps[-1])]
     parts = np.maximum(np.round(np.diff(knots) / 1e7).astype(int), 1)  # gaps in steps of 10 ms
@@ -103,14 +105,21 @@ def write_task(drive: Drive, task: Task, target: Path) -> None:
     middle = 0.5 * (t[1:] + t[:-1])
     gap = np.repeat(np.diff(knots) > 1e9 * CONFIG.max_gap, parts)
     at = (imu.stamps_ns - stamps[0]).astype(np.float64)
+    return {
+        "dt": 1e-9 * np.diff(t),
+        "gyro": np.stack([np.interp(middle, at, column) for column in imu.gyro.T], axis=1),
+        "accel": np.stack([np.interp(middle, at, column) for column in imu.accel.T], axis=1),
+        "gyro_var": noise.gyro**2 + CONFIG.held_gyro_noise**2 * gap,
+        "accel_var": noise.accel**2 + CONFIG.held_accel_noise**2 * gap,
+        "first": np.searchsorted(t, stamps - stamps[0] - 1.0),
+    }
+
+
+def write_task(drive: Drive, task: Task, target: Path) -> None:
+    """Write the task for a rival: readings in the middle of every step, and the noise of each."""
     np.savez(
         target,
-        dt=1e-9 * np.diff(t),
-        gyro=np.stack([np.interp(middle, at, column) for column in imu.gyro.T], axis=1),
-        accel=np.stack([np.interp(middle, at, column) for column in imu.accel.T], axis=1),
-        gyro_var=NOISE.gyro**2 + CONFIG.held_gyro_noise**2 * gap,
-        accel_var=NOISE.accel**2 + CONFIG.held_accel_noise**2 * gap,
-        first=np.searchsorted(t, stamps - stamps[0] - 1.0),
+        **readings(drive, drive.stamps_ns),
         walks=[NOISE.gyro_walk, NOISE.accel_walk],
         gravity=GRAVITY,
         start=task.start.matrix,

@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.calibrate import calibration_section
 from benchmarks.graph_table import graph_section, graph_summary, scale_section
-from benchmarks.imu_table import gnss_section, preintegration_section
+from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.start import start_section
 
@@ -25,6 +25,7 @@ _OTHER_SECTIONS = {
     "graph_incremental_scale": incremental_scale_section,
     "imu": preintegration_section,
     "imu_gnss": gnss_section,
+    "lio": lio_section,
     "calibrate": calibration_section,
 }
 

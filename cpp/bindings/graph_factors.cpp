@@ -3,7 +3,9 @@
 #include <string>
 
 #include "bindings/bindings.hpp"
+#include "graph/factors/covariance_root.hpp"
 #include "graph/factors/make_group.hpp"
+#include "graph/factors/pack.hpp"
 
 namespace heliograph {
 
@@ -99,7 +101,7 @@ Tuple evaluate(const FactorGroup& group, const double* x) {
 Tuple evaluate_factors(int type, const Families& families, const Doubles& x, const Indices& variables, int rows,
                        const Doubles& measurement, int noise, bool shared_noise, const Doubles& sqrt_information, int kernel,
                        double kernel_width, const Doubles& weight, const Doubles& shift, const Doubles& custom) {
-  require(type >= 0 && type <= 7 && noise >= 0 && noise <= 2 && kernel >= 0 && kernel <= 6, "no such code");
+  require(noise >= 0 && noise <= 2 && kernel >= 0 && kernel <= 6, "no such code");
   GroupInput input;
   input.type = static_cast<FactorType>(type);
   input.arity = static_cast<int>(variables.shape(1));
@@ -129,10 +131,46 @@ nb::ndarray<nb::numpy, double, nb::ndim<2>> retract(int manifold, const Rows& x,
   return to_numpy<double, nb::ndim<2>>(std::move(out), {x.shape(0), x.shape(1)});
 }
 
+using Single = nb::ndarray<const double, nb::device::cpu>;
+
+// One value into `out`, if there is room for it; false where it is not on its manifold.
+bool pack_into(int manifold, const Single& x, double* out, size_t room) {
+  const auto family = static_cast<Manifold>(manifold);
+  const bool matrix = family != Manifold::vector && family != Manifold::s2;
+  require(x.ndim() == (matrix ? 2U : 1U), "a value of another shape");
+  const int dof = matrix ? 0 : static_cast<int>(x.shape(0)), storage = storage_of(family, dof);
+  const size_t needed = matrix ? (family == Manifold::so2 ? 2U : 3U) + (storage == 12 ? 1U : 0U) + (storage == 15 ? 2U : 0U) : 0U;
+  require(!matrix || (x.shape(0) == needed && x.shape(1) == needed), "a value of another shape");
+  require(room == 0 || room == static_cast<size_t>(storage), "room of another size");
+  double own[kMaxDof];
+  require(storage <= kMaxDof, "a vector of more than 16 numbers");
+  return pack_single(family, dof, x.data(), x.stride(0), matrix ? x.stride(1) : 0, room == 0 ? own : out);
+}
+
+// Roots (N, rows, rows) of covariances, and the first that has none, or -1.
+Tuple covariance_roots(const Array<const double, nb::ndim<3>>& P) {
+  const size_t n = P.shape(0), rows = P.shape(1);
+  require(P.shape(2) == rows, "covariances are square");
+  std::vector<double> S(P.size());
+  const int64_t failed = unlocked([&] {
+    for (size_t k = 0; k < n; ++k)
+      if (!covariance_root(P.data() + k * rows * rows, static_cast<int>(rows), S.data() + k * rows * rows)) return static_cast<int64_t>(k);
+    return int64_t{-1};
+  });
+  static TupleType type{"CovarianceRoots", "roots failed"};
+  return named(type, to_numpy<double>(std::move(S), {n, rows, rows}), failed);
+}
+
 }  // namespace
 
 void bind_graph_factors(nb::module_& m) {
   using namespace nb::literals;
+  m.def("covariance_roots", &covariance_roots, "P"_a.noconvert());
+  m.def("pack_single", [](int manifold, const Single& x, const Array<double, nb::ndim<2>>& out) {
+    return pack_into(manifold, x, out.data(), out.size());
+  }, "manifold"_a, "value"_a.noconvert(), "out"_a.noconvert());
+  m.def("is_sound", [](int manifold, const Single& x) { return pack_into(manifold, x, nullptr, 0); }, "manifold"_a,
+        "value"_a.noconvert());
   m.def("evaluate_factors", &evaluate_factors, "type"_a, "families"_a.noconvert(), "values"_a.noconvert(),
         "variables"_a.noconvert(), "rows"_a, "measurement"_a.noconvert(), "noise"_a, "shared_noise"_a,
         "sqrt_information"_a.noconvert(), "kernel"_a, "kernel_width"_a, "weight"_a.noconvert(), "shift"_a.noconvert(),

@@ -66,9 +66,9 @@ CliqueTable clique_table(const BayesTree& tree) {
 }
 
 int32_t add_kind(SharedTree& t, int type, const Indices& manifolds, const Indices& dofs, int rows, int noise, int kernel,
-                 double width) {
+                 double width, int measurement) {
   const FactorKind kind{static_cast<FactorType>(type), span_of(manifolds), span_of(dofs), rows, static_cast<NoiseForm>(noise),
-                        static_cast<KernelType>(kernel), width};
+                        static_cast<KernelType>(kernel), width, measurement};
   return t.look([&](BayesTree& tree) { return tree.add_kind(kind); });
 }
 
@@ -133,7 +133,7 @@ void bind_graph_tree(nb::module_& m) {
       .def("hold", [](SharedTree& t, const Indices& v) { t.call([&](BayesTree& tree) { tree.hold(span_of(v)); }); },
            "variables"_a.noconvert())
       .def("add_kind", &add_kind, "type"_a, "manifolds"_a.noconvert(), "dofs"_a.noconvert(), "rows"_a, "noise"_a, "kernel"_a,
-           "width"_a)
+           "width"_a, "measurement"_a = kAnySize)
       .def("add_factors", [](SharedTree& t, int kind, const Indices& variables, const Doubles& measurement, const Doubles& noise) {
              return to_array(t.call([&](BayesTree& tree) {
                return tree.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise));

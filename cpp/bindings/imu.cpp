@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
 #include "bindings/bindings.hpp"
-#include "imu/motion_factor.hpp"
+#include "imu/motion_pack.hpp"
 #include "imu/preintegrate.hpp"
 #include "imu/propagate.hpp"
 
@@ -81,46 +81,67 @@ Tuple preintegrate_intervals(const Stamps& stamps, const Vectors& gyro, const Ve
                to_numpy<double>(std::move(combined), {n, 15, 15}));
 }
 
-// Residuals, and with derivatives those by both poses, the bias and gravity.
-Tuple motion_residuals(const Array<const double, nb::shape<-1, 5, 5>>& X_i, const Array<const double, nb::shape<-1, 5, 5>>& X_j,
-                       const Array<const double, nb::shape<-1, 6>>& bias, const Vectors& gravity,
-                       const Array<const double, nb::shape<-1, static_cast<nb::ssize_t>(MotionRow::kSize)>>& motion,
-                       const Array<const double, nb::shape<-1, -1, static_cast<nb::ssize_t>(kSampleNumbers)>>& sampled,
-                       bool jacobians) {
-  const size_t n = motion.shape(0), samples = sampled.shape(1);
-  if (X_i.shape(0) != n || X_j.shape(0) != n || bias.shape(0) != n || gravity.shape(0) != n || sampled.shape(0) != n)
-    throw std::invalid_argument("one of everything a motion is needed");
-  const double* rows = motion.data();
-  for (size_t k = 0; k < n && samples > 0; ++k)
-    if (const double kept = rows[MotionRow::kSize * k + MotionRow::kCount]; !(kept >= 1.0 && kept <= static_cast<double>(samples)))
-      throw std::invalid_argument("a motion counts more samples than it has");
-  std::vector<double> r(9 * n), by_i, by_j, by_bias, by_gravity;
-  const MotionFactors factors{n, samples, X_i.data(), X_j.data(), bias.data(), gravity.data(), rows, sampled.data()};
-  unlocked([&] {
-    MotionJacobians out;
-    if (jacobians) {
-      by_i.resize(81 * n), by_j.resize(81 * n), by_bias.resize(54 * n), by_gravity.resize(27 * n);
-      out = {by_i.data(), by_j.data(), by_bias.data(), by_gravity.data()};
-    }
-    evaluate_motions(factors, r.data(), out);
-  });
-  static TupleType type{"MotionResiduals", "residual by_i by_j by_bias by_gravity"};
-  auto residual = to_numpy<double>(std::move(r), {n, 9});
-  if (!jacobians) return named(type, residual, nb::none(), nb::none(), nb::none(), nb::none());
-  return named(type, residual, to_numpy<double>(std::move(by_i), {n, 9, 9}), to_numpy<double>(std::move(by_j), {n, 9, 9}),
-               to_numpy<double>(std::move(by_bias), {n, 9, 6}), to_numpy<double>(std::move(by_gravity), {n, 9, 3}));
+using Column = Array<const double, nb::shape<-1>>;
+
+// The measurements (N, m) of the factors of N motions, and whether all numbers are finite.
+Tuple motion_measurements(const Stamps& stamps, const Vectors& gyro, const Vectors& accel, const Stamps& starts_ns, const Stamps& ends_ns,
+                          const Rotations& R, const Vectors& p, const Vectors& v, const Column& duration, const Column& gravity_s,
+                          const Column& gravity_s2, const Vectors& gyro_bias, const Vectors& accel_bias,
+                          const Array<const double, nb::shape<-1, 9, 6>>& by_bias, const Array<const double, nb::shape<-1, 9, 9>>& covariance,
+                          const Doubles& model, const Doubles& gravity, double share, bool keep_samples) {
+  const size_t n = starts_ns.size();
+  for (const size_t size : {ends_ns.size(), R.shape(0), p.shape(0), v.shape(0), duration.size(), gravity_s.size(), gravity_s2.size(),
+                            gyro_bias.shape(0), accel_bias.shape(0), by_bias.shape(0), covariance.shape(0)})
+    if (size != n) throw std::invalid_argument("one of everything a motion is needed");
+  if (stamps.size() == 0 || gyro.shape(0) != stamps.size() || accel.shape(0) != stamps.size() || model.size() != kImuModelNumbers)
+    throw std::invalid_argument("one rate and one specific force a stamp are needed, at least one, and the model's numbers");
+  const ImuSamples samples{span_of(stamps), gyro.data(), accel.data()};
+  const MotionArrays motions{n, starts_ns.data(), ends_ns.data(), R.data(), p.data(), v.data(),
+                             {duration.data(), gravity_s.data(), gravity_s2.data()}, gyro_bias.data(), accel_bias.data(),
+                             by_bias.data(), covariance.data(), model.data()};
+  const size_t rows = keep_samples ? sample_rows(samples, motions) : 0;
+  const size_t width = MotionRow::kSize + gravity.size() + kSampleNumbers * rows;
+  std::vector<double> out(n * width);
+  const bool finite = unlocked([&] { return pack_motions(samples, motions, span_of(gravity), share, rows, out.data()); });
+  static TupleType type{"MotionMeasurements", "measurement finite"};
+  return named(type, to_numpy<double>(std::move(out), {n, width}), finite);
+}
+
+// States (N, 5, 5) at the ends of motions that begin at X, with biases changed by `change` from the motions' own.
+nb::ndarray<nb::numpy, double, nb::ndim<3>> predict_states(const Rotations& R, const Vectors& p, const Vectors& v, const Column& duration,
+                                                           const Column& gravity_s, const Column& gravity_s2,
+                                                           const Array<const double, nb::shape<-1, 9, 6>>& by_bias,
+                                                           const Array<const double, nb::shape<-1, 6>>& change,
+                                                           const Array<const double, nb::shape<-1, 5, 5>>& X, const Vectors& gravity) {
+  const size_t n = R.shape(0);
+  for (const size_t size : {p.shape(0), v.shape(0), duration.size(), gravity_s.size(), gravity_s2.size(), by_bias.shape(0),
+                            change.shape(0), X.shape(0), gravity.shape(0)})
+    if (size != n) throw std::invalid_argument("one of everything a motion is needed");
+  std::vector<double> out(25 * n);
+  for (size_t k = 0; k < n; ++k) {
+    const double* times[3] = {duration.data() + k, gravity_s.data() + k, gravity_s2.data() + k};
+    predict_state(R.data() + 9 * k, p.data() + 3 * k, v.data() + 3 * k, times, by_bias.data() + 54 * k, change.data() + 6 * k,
+                  X.data() + 25 * k, gravity.data() + 3 * k, out.data() + 25 * k);
+  }
+  return to_numpy<double, nb::ndim<3>>(std::move(out), {n, 5, 5});
 }
 
 }  // namespace
 
 void bind_imu(nb::module_& m) {
   using namespace nb::literals;
+  m.def("predict_states", &predict_states, "R"_a.noconvert(), "p"_a.noconvert(), "v"_a.noconvert(), "duration"_a.noconvert(),
+        "gravity_s"_a.noconvert(), "gravity_s2"_a.noconvert(), "by_bias"_a.noconvert(), "change"_a.noconvert(), "X"_a.noconvert(),
+        "gravity"_a.noconvert());
+  m.def("motion_measurements", &motion_measurements, "stamps_ns"_a.noconvert(), "gyro"_a.noconvert(), "accel"_a.noconvert(),
+        "starts_ns"_a.noconvert(), "ends_ns"_a.noconvert(), "R"_a.noconvert(), "p"_a.noconvert(), "v"_a.noconvert(),
+        "duration"_a.noconvert(), "gravity_s"_a.noconvert(), "gravity_s2"_a.noconvert(), "gyro_bias"_a.noconvert(),
+        "accel_bias"_a.noconvert(), "by_bias"_a.noconvert(), "covariance"_a.noconvert(), "model"_a.noconvert(),
+        "gravity"_a.noconvert(), "share"_a, "keep_samples"_a);
   m.def("propagate", &propagate_state, "stamps_ns"_a.noconvert(), "gyro"_a.noconvert(), "accel"_a.noconvert(), "t0_ns"_a,
         "t1_ns"_a, "R_odom_imu"_a.noconvert(), "vectors"_a.noconvert(), "g_basis"_a.noconvert(), "model"_a.noconvert());
   m.def("preintegrate", &preintegrate_intervals, "stamps_ns"_a.noconvert(), "gyro"_a.noconvert(), "accel"_a.noconvert(),
         "starts_ns"_a.noconvert(), "ends_ns"_a.noconvert(), "biases"_a.noconvert(), "model"_a.noconvert());
-  m.def("motion_residuals", &motion_residuals, "X_i"_a.noconvert(), "X_j"_a.noconvert(), "bias"_a.noconvert(),
-        "gravity"_a.noconvert(), "motion"_a.noconvert(), "sampled"_a.noconvert(), "jacobians"_a);
 }
 
 }  // namespace heliograph

@@ -46,7 +46,7 @@ void check_ranges(FactorType type, Manifold a, int dof_a, Manifold b, int dof_b)
   for (int32_t k = 0; k < static_cast<int32_t>(kCount); ++k) variables.insert(variables.end(), {k, k + static_cast<int32_t>(kCount)});
   const Manifold manifolds[2] = {a, b};
   const int dofs[2] = {dof_a, dof_b};
-  const FactorShape shape = shape_of(type, manifolds, dofs);
+  const FactorShape shape = shape_of(type, {manifolds, dofs});
   CHECK(shape.known);
   std::vector<double> z(kCount * static_cast<size_t>(shape.measurement), 0.6);
   if (type == FactorType::between && a != Manifold::vector) z.assign(w.x.begin(), w.x.begin() + static_cast<long>(z.size()));
@@ -134,9 +134,61 @@ void check_nan() {
   for (size_t i = block_size(group); i < blocks.size(); ++i) CHECK(std::isfinite(blocks[i]));
 }
 
+// A kind that a room above brings: linearised in ranges as any other, by its code alone; unknown codes and shapes are refused.
+void check_brought_kinds() {
+  const World w = world({{Manifold::nav, 9}, {Manifold::vector, 6}, {Manifold::vector, 3}}, 4);
+  const std::vector<double> one(1, 1.0);
+  size_t seen = 0;
+  for (const ResidualKind& kind : brought_residuals()) {
+    CHECK(static_cast<int32_t>(kind.type) >= kFirstBrought && brought_residual(kind.type) == &kind);
+    const Manifold manifolds[2] = {Manifold::nav, Manifold::vector};
+    const int dofs[2] = {9, 3};
+    const FactorShape shape = shape_of(kind.type, {manifolds, dofs});
+    if (!shape.known) continue;
+    ++seen;
+    const std::vector<int32_t> variables = {0, 8, 1, 9, 2, 10};
+    const std::vector<double> z(3 * static_cast<size_t>(shape.measurement), 0.3);
+    GroupInput input;
+    input.type = kind.type;
+    input.arity = 2;
+    input.variables = variables;
+    input.measurement = z;
+    input.sqrt_information = one;
+    const FactorGroup group = make_group(input, w.families);
+    const size_t size = block_size(group);
+    std::vector<double> all(3 * size);
+    linearize_group(group, 0, 3, w.x.data(), all.data());
+    for (size_t k = 0; k < 3; ++k) {
+      std::vector<double> exact(size);
+      linearize_group(group, k, k + 1, w.x.data(), exact.data());
+      for (size_t i = 0; i < size; ++i) CHECK(exact[i] == all[k * size + i] && std::isfinite(exact[i]));
+    }
+    input.measurement = std::span(z).first(2);
+    CHECK(refuses([&] { make_group(input, w.families); }));
+  }
+  CHECK(seen == 1);  // a point on a body, at the end of a variable lever
+  CHECK(brought_residual(FactorType::between) == nullptr);
+  CHECK(!shape_of(static_cast<FactorType>(kFirstBrought + 999), {}).known);
+}
+
+// Parts of motions, by the number of rows.
+void check_parts() {
+  const Manifold manifolds[2] = {Manifold::nav, Manifold::se3};
+  const int dofs[2] = {9, 6};
+  for (const int rows : {0, 3, 6}) {
+    const FactorShape shape = shape_of(FactorType::between, {manifolds, dofs, rows});
+    CHECK(shape.known && shape.rows == (rows == 0 ? 6 : rows) && shape.measurement == shape.rows + 6);
+  }
+  for (const int rows : {1, 5, 9}) CHECK(!shape_of(FactorType::between, {manifolds, dofs, rows}).known);
+  for (const int rows : {0, 3, 6, 9}) CHECK(shape_of(FactorType::prior, {std::span(manifolds).first(1), dofs, rows}).known);
+  for (const int rows : {-3, 4, 12}) CHECK(!shape_of(FactorType::prior, {std::span(manifolds).first(1), dofs, rows}).known);
+}
+
 }  // namespace
 
 void check_graph_factors() {
+  check_brought_kinds();
+  check_parts();
   check_all_ranges();
   check_refusals();
   check_nan();

@@ -158,6 +158,36 @@ def order_fill(
     weight: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
     order: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
 ) -> tuple[Any, ...]: ...
+def covariance_roots(
+    P: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
+def pack_single(
+    manifold: int,
+    value: Annotated[NDArray[numpy.float64], dict(device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu")],
+) -> bool: ...
+def is_sound(manifold: int, value: Annotated[NDArray[numpy.float64], dict(device="cpu", writable=False)]) -> bool: ...
+def evaluate_factors(
+    type: int,
+    families: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    variables: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    rows: int,
+    measurement: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    noise: int,
+    shared_noise: bool,
+    sqrt_information: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    kernel: int,
+    kernel_width: float,
+    weight: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    shift: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    custom: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
+def retract_values(
+    manifold: int,
+    values: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    delta: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None))]: ...
 
 class TreeCounts:
     @property
@@ -207,6 +237,7 @@ class BayesTree:
         noise: int,
         kernel: int,
         width: float,
+        measurement: int = -1,
     ) -> int: ...
     def add_factors(
         self,
@@ -286,6 +317,39 @@ class BayesTree:
     @property
     def deferred(self) -> int: ...
 
+def predict_states(
+    R: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order="C", device="cpu", writable=False)],
+    p: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    v: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    duration: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    gravity_s: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    gravity_s2: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    by_bias: Annotated[NDArray[numpy.float64], dict(shape=(None, 9, 6), order="C", device="cpu", writable=False)],
+    change: Annotated[NDArray[numpy.float64], dict(shape=(None, 6), order="C", device="cpu", writable=False)],
+    X: Annotated[NDArray[numpy.float64], dict(shape=(None, 5, 5), order="C", device="cpu", writable=False)],
+    gravity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+) -> Annotated[NDArray[numpy.float64], dict(shape=(None, None, None))]: ...
+def motion_measurements(
+    stamps_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    gyro: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    accel: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    starts_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    ends_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    R: Annotated[NDArray[numpy.float64], dict(shape=(None, 3, 3), order="C", device="cpu", writable=False)],
+    p: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    v: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    duration: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    gravity_s: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    gravity_s2: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    gyro_bias: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    accel_bias: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    by_bias: Annotated[NDArray[numpy.float64], dict(shape=(None, 9, 6), order="C", device="cpu", writable=False)],
+    covariance: Annotated[NDArray[numpy.float64], dict(shape=(None, 9, 9), order="C", device="cpu", writable=False)],
+    model: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    gravity: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    share: float,
+    keep_samples: bool,
+) -> tuple[Any, ...]: ...
 def propagate(
     stamps_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
     gyro: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
@@ -305,15 +369,6 @@ def preintegrate(
     ends_ns: Annotated[NDArray[numpy.int64], dict(shape=(None,), order="C", device="cpu", writable=False)],
     biases: Annotated[NDArray[numpy.float64], dict(shape=(None, 6), order="C", device="cpu", writable=False)],
     model: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
-) -> tuple[Any, ...]: ...
-def motion_residuals(
-    X_i: Annotated[NDArray[numpy.float64], dict(shape=(None, 5, 5), order="C", device="cpu", writable=False)],
-    X_j: Annotated[NDArray[numpy.float64], dict(shape=(None, 5, 5), order="C", device="cpu", writable=False)],
-    bias: Annotated[NDArray[numpy.float64], dict(shape=(None, 6), order="C", device="cpu", writable=False)],
-    gravity: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
-    motion: Annotated[NDArray[numpy.float64], dict(shape=(None, 92), order="C", device="cpu", writable=False)],
-    sampled: Annotated[NDArray[numpy.float64], dict(shape=(None, None, 7), order="C", device="cpu", writable=False)],
-    jacobians: bool,
 ) -> tuple[Any, ...]: ...
 def decode_points(
     x: object, y: object, z: object, time: object | None, intensity: object | None, ring: object | None

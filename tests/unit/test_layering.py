@@ -1,7 +1,9 @@
 """The rooms import only downwards. Read from the source, so that imports for types and inside functions count too."""
 
+import re
+
 import pytest
-from tests.rooms import ALLOWED, STOREYS, picture, violations
+from tests.rooms import ALLOWED, SOURCE, STOREYS, picture, violations
 
 
 def test_rooms_import_only_what_the_layering_allows():
@@ -27,6 +29,22 @@ def test_storeys_stay_few(place, rooms, floors):
     found = picture(place)
     assert len(found.names) <= rooms
     assert max(found.floors.values()) <= floors
+
+
+def test_the_engine_names_no_sensor():
+    """What a factor measures is the business of the room above: the engine's text does not speak of it."""
+    words, root = re.compile(r"\b(lidar|imu|scans?|gps|gnss)\b", re.IGNORECASE), SOURCE.parents[1]
+    files = [path for place in ("src/heliograph/graph", "cpp/graph") for path in (root / place).rglob("*.*")]
+    texts = {path: path.read_text(encoding="utf-8") for path in files if path.suffix in (".py", ".cpp", ".hpp", ".inl")}
+    assert len(texts) > 100
+    assert [str(path) for path, text in texts.items() if words.search(text)] == []
+
+
+def test_native_rooms_below_the_factors_include_none_of_them():
+    root = SOURCE.parents[1] / "cpp"
+    for room in ("graph", "imu", "lie", "util"):
+        for path in (root / room).rglob("*.*"):
+            assert '#include "factors/' not in path.read_text(encoding="utf-8"), path
 
 
 def test_picture_counts_rooms_floors_arrows_and_circles(tmp_path):

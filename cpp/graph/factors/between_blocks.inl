@@ -241,5 +241,15 @@ static void linearize_between_se3(const FactorView& v, size_t begin, size_t end,
   *sum = total;
 }
 
+template <>
+struct Linearizer<BetweenSe2> {
+  static constexpr auto run = linearize_between_se2;
+};
+
+template <>
+struct Linearizer<BetweenMotion<1, 1, 1>> {
+  static constexpr auto run = linearize_between_se3;
+};
+
 }  // namespace
 }  // namespace heliograph

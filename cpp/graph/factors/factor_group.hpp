@@ -13,14 +13,19 @@ inline constexpr int kMaxArity = 8;
 
 enum class FactorType : int32_t {
   custom = 0,        // residuals and Jacobians are handed in
-  prior = 1,         // Log(Z^-1 X)
-  between = 2,       // Log(Z^-1 Xi^-1 Xj)
+  prior = 1,         // Log(Z^-1 X), or of the leading parts of X that Z measures
+  between = 2,       // Log(Z^-1 Xi^-1 Xj), likewise
   range = 3,         // |p_j - p_i| - z
   bearing = 4,       // Z.local(direction to j seen from pose i): an angle in the plane, two on the sphere
   landmark = 5,      // Ti^-1 p_j - z
   position = 6,      // p_i - z, in the world
-  linear_motion = 7  // x_j - F x_i - u, vectors
-};
+  linear_motion = 7,  // x_j - F x_i - u, vectors
+  prior_rows = 8,     // chosen rows of a prior
+  bearing_range = 9,  // bearing, then range
+  attitude = 10,      // Z.local(R' d): a direction d of the world, known or a variable, seen from a rotated body
+  plane = 11,         // a plane n.x = d, known or variables, seen from a pose: its normal's two angles, its distance
+  point_to_plane = 12 // how far a point seen from a pose lies in front of a plane: known, of variables, or of another pose
+};                    // and whatever residual_kind.hpp brings
 
 // Sqrt information S of r_white = S r.
 enum class NoiseForm : int32_t { scalar = 0, diagonal = 1, full = 2 };  // 1, rows, rows*rows (upper triangular, row-major) numbers

@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: MIT
 #include <stdexcept>
 
-#include "graph/factors/factor_view.hpp"
+#include "graph/factors/residual_kind.hpp"
 #include "util/isa.hpp"
 
 namespace heliograph {
 
 namespace {
 
-FactorKernels kernels() {
+FactorKernels kernels_for(FactorType type) {
+  const ResidualKind* brought = brought_residual(type);
 #if defined(HELIOGRAPH_HAVE_AVX2)
-  if (active_isa() == Isa::avx2) return avx2_factor_kernels();
+  if (active_isa() == Isa::avx2) return brought == nullptr ? avx2_factor_kernels() : brought->avx2();
 #endif
-  return baseline_factor_kernels();
+  return brought == nullptr ? baseline_factor_kernels() : brought->baseline();
 }
 
 int columns_of(const FactorGroup& group) {
@@ -59,14 +60,14 @@ void require(bool known) {
 GroupCost linearize_group(const FactorGroup& group, size_t begin, size_t end, const double* x, double* blocks) {
   std::vector<double> scratch;
   GroupCost sum;
-  require(kernels().linearize(view_of(group, x, &scratch), begin, end, blocks, &sum));
+  require(kernels_for(group.type).linearize(view_of(group, x, &scratch), begin, end, blocks, &sum));
   return sum;
 }
 
 GroupCost cost_of_group(const FactorGroup& group, size_t begin, size_t end, const double* x) {
   std::vector<double> scratch;
   GroupCost sum;
-  require(kernels().cost(view_of(group, x, &scratch), begin, end, &sum));
+  require(kernels_for(group.type).cost(view_of(group, x, &scratch), begin, end, &sum));
   return sum;
 }
 
@@ -74,7 +75,7 @@ void residuals_of_group(const FactorGroup& group, size_t begin, size_t end, cons
                         double* squared) {
   std::vector<double> scratch;
   const FactorView view = view_of(group, x, &scratch);
-  const FactorKernels kernel = kernels();
+  const FactorKernels kernel = kernels_for(group.type);
   require(kernel.evaluate(view, begin, end, residual, nullptr));
   for (size_t k = begin; k < end; ++k) {
     GroupCost sum;
@@ -87,7 +88,7 @@ void jacobians_of_group(const FactorGroup& group, size_t begin, size_t end, cons
   std::vector<double> scratch;
   const auto rows = static_cast<size_t>(group.rows), columns = static_cast<size_t>(columns_of(group));
   std::vector<double> residual((end - begin) * rows), all((end - begin) * rows * columns);
-  require(kernels().evaluate(view_of(group, x, &scratch), begin, end, residual.data(), all.data()));
+  require(kernels_for(group.type).evaluate(view_of(group, x, &scratch), begin, end, residual.data(), all.data()));
   const double* row = all.data();
   for (size_t i = 0; i < (end - begin) * rows; ++i) {
     for (size_t a = 0; a < static_cast<size_t>(group.arity); ++a) {

@@ -4,7 +4,7 @@
 
 namespace heliograph {
 
-FactorKernels avx2_factor_kernels() { return {linearize_factors, cost_factors, evaluate_factors}; }
+FactorKernels avx2_factor_kernels() { return kernels_of<Own>(); }
 
 }  // namespace heliograph
 #endif

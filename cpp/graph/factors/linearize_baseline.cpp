@@ -3,6 +3,6 @@
 
 namespace heliograph {
 
-FactorKernels baseline_factor_kernels() { return {linearize_factors, cost_factors, evaluate_factors}; }
+FactorKernels baseline_factor_kernels() { return kernels_of<Own>(); }
 
 }  // namespace heliograph

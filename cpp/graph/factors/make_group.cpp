@@ -21,50 +21,6 @@ const FamilyBlock& family_of(std::span<const FamilyBlock> families, int32_t vari
   throw std::invalid_argument("variable " + std::to_string(variable) + " belongs to no family");
 }
 
-// Dimension of the space that a variable has a point in; 0 if it has none.
-int space_of(Manifold manifold, int dof) {
-  switch (manifold) {
-    case Manifold::vector: return dof == 2 || dof == 3 ? dof : 0;
-    case Manifold::se2: return 2;
-    case Manifold::se3:
-    case Manifold::nav: return 3;
-    default: return 0;
-  }
-}
-
-FactorShape shape_between_points(FactorType type, std::span<const Manifold> manifold, std::span<const int> dof) {
-  const int space = space_of(manifold[0], dof[0]);
-  if (space == 0 || space != space_of(manifold[1], dof[1])) return {};
-  if (type == FactorType::range) return {true, 1, 1};
-  if (manifold[0] == Manifold::vector) return {};
-  return {true, type == FactorType::bearing ? space - 1 : space, space};
-}
-
-FactorShape shape_of_position(Manifold manifold, int dof) {
-  const int space = manifold == Manifold::vector ? dof : space_of(manifold, dof);
-  return {space > 0, space, space};
-}
-
-}  // namespace
-
-FactorShape shape_of(FactorType type, std::span<const Manifold> manifold, std::span<const int> dof) {
-  const size_t arity = type == FactorType::prior || type == FactorType::position ? 1 : 2;
-  if (type == FactorType::custom) return {true, 0, 0};
-  if (manifold.size() != arity) return {};
-  const bool vectors = std::all_of(manifold.begin(), manifold.end(), [](Manifold m) { return m == Manifold::vector; });
-  switch (type) {
-    case FactorType::prior: return {true, dof[0], storage_of(manifold[0], dof[0])};
-    case FactorType::between:
-      if (manifold[0] != manifold[1] || dof[0] != dof[1] || manifold[0] == Manifold::s2) return {};
-      return {true, dof[0], storage_of(manifold[0], dof[0])};
-    case FactorType::position: return shape_of_position(manifold[0], dof[0]);
-    case FactorType::linear_motion: return {vectors, dof[1], dof[1] * dof[0] + dof[1]};
-    default: return shape_between_points(type, manifold, dof);
-  }
-}
-
-namespace {
-
 // Families and value offsets of all variables of all factors.
 void place(const GroupInput& input, std::span<const FamilyBlock> families, FactorGroup* group) {
   const auto arity = static_cast<size_t>(input.arity);
@@ -86,7 +42,9 @@ void place(const GroupInput& input, std::span<const FamilyBlock> families, Facto
 
 void fill_measurement(const GroupInput& input, FactorGroup* group) {
   const auto arity = static_cast<size_t>(group->arity);
-  const FactorShape shape = shape_of(input.type, {group->manifold.data(), arity}, {group->dof.data(), arity});
+  const size_t doubles = input.measurement.size() / group->count;
+  const ShapeQuery query{{group->manifold.data(), arity}, {group->dof.data(), arity}, input.rows, static_cast<int>(doubles)};
+  const FactorShape shape = shape_of(input.type, query);
   require(shape.known, "no residual is known for this factor type and its families");
   if (input.type != FactorType::custom) {
     require(input.rows == 0 || input.rows == shape.rows, "the residual has " + std::to_string(shape.rows) + " rows");

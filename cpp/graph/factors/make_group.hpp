@@ -4,13 +4,14 @@
 #include <span>
 
 #include "graph/factors/factor_group.hpp"
+#include "graph/factors/residual_kind.hpp"
 
 namespace heliograph {
 
 struct GroupInput {
   FactorType type = FactorType::custom;
   int arity = 0;
-  int rows = 0;                           // of a custom factor; other types know it (0 then, or the same number)
+  int rows = 0;                           // of the residual; 0: what is usual between such families
   std::span<const int32_t> variables;     // (count, arity) dense indices
   std::span<const double> measurement;    // (count, measurement_size(...))
   NoiseForm noise = NoiseForm::scalar;
@@ -24,13 +25,7 @@ struct GroupInput {
 // (residual and Jacobians: zero, of the right size). Throws std::invalid_argument.
 FactorGroup make_group(const GroupInput& input, std::span<const FamilyBlock> families);
 
-// Whether the type has a residual between these families; rows and the doubles of one measurement, if so.
-struct FactorShape {
-  bool known = false;
-  int rows = 0;
-  int measurement = 0;
-};
-FactorShape shape_of(FactorType type, std::span<const Manifold> manifold, std::span<const int> dof);
+FactorShape shape_of(FactorType type, const ShapeQuery& query);
 
 // Numbers of one S.
 constexpr size_t noise_numbers(NoiseForm form, int rows) {

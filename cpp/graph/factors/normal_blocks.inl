@@ -9,16 +9,24 @@ namespace heliograph {
 namespace {
 
 // Sizes known at compile time: the loops below unroll and become vectors.
-template <int Rows, int First, int Second = 0>
+template <int Rows, int... Dofs>
 struct Fixed {
   static constexpr bool kDynamic = false;
-  static constexpr int kWork = Rows * row_stride(First + Second);
-  static constexpr int arity() { return Second > 0 ? 2 : 1; }
+  static constexpr int kWork = Rows * row_stride((Dofs + ...));
+  static constexpr int arity() { return sizeof...(Dofs); }
   static constexpr int rows() { return Rows; }
-  static constexpr int dof(int a) { return a == 0 ? First : Second; }
-  static constexpr int column(int a) { return a == 0 ? 0 : First; }
-  static constexpr int columns() { return First + Second; }
-  static constexpr int stride() { return row_stride(First + Second); }
+  static constexpr int dof(int a) {
+    int size = 0;
+    ((size = a-- == 0 ? Dofs : size), ...);
+    return size;
+  }
+  static constexpr int column(int a) {
+    int first = 0;
+    ((first += a-- > 0 ? Dofs : 0), ...);
+    return first;
+  }
+  static constexpr int columns() { return (Dofs + ...); }
+  static constexpr int stride() { return row_stride((Dofs + ...)); }
   explicit Fixed(const FactorView&) {}
 };
 

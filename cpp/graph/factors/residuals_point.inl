@@ -45,24 +45,28 @@ HELIOGRAPH_INLINE void out_of_frame(const double* pose, const double* g, double*
 }
 
 // |p_j - p_i| - z; where the points coincide there is no direction, and the Jacobian is zero.
+template <class I, class J, bool kJacobian>
+HELIOGRAPH_INLINE void range_row(const double* xi, const double* xj, double z, double* r, double* W) {
+  double d[3], length2 = 0.0;
+  for (int i = 0; i < I::kSpace; ++i) {
+    d[i] = xj[J::kPoint + i] - xi[I::kPoint + i];
+    length2 += d[i] * d[i];
+  }
+  const double length = std::sqrt(length2);
+  r[0] = length - z;
+  if constexpr (!kJacobian) return;
+  const double scale = length > 0.0 ? 1.0 / length : 0.0;
+  for (int i = 0; i < I::kSpace; ++i) d[i] *= scale;
+  put_point_row<I>(xi, d, W, 0, -1.0);
+  put_point_row<J>(xj, d, W, I::kDof, 1.0);
+}
+
 template <class I, class J>
 struct Range {
   using Layout = Fixed<1, I::kDof, J::kDof>;
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout&, size_t k, double* r, double* W) {
-    const double *xi = value_of(v, k, 2, 0), *xj = value_of(v, k, 2, 1);
-    double d[3], length2 = 0.0;
-    for (int i = 0; i < I::kSpace; ++i) {
-      d[i] = xj[J::kPoint + i] - xi[I::kPoint + i];
-      length2 += d[i] * d[i];
-    }
-    const double length = std::sqrt(length2);
-    r[0] = length - measurement_of(v, k, 1)[0];
-    if constexpr (!kJacobian) return;
-    const double scale = length > 0.0 ? 1.0 / length : 0.0;
-    for (int i = 0; i < I::kSpace; ++i) d[i] *= scale;
-    put_point_row<I>(xi, d, W, 0, -1.0);
-    put_point_row<J>(xj, d, W, I::kDof, 1.0);
+    range_row<I, J, kJacobian>(value_of(v, k, 2, 0), value_of(v, k, 2, 1), measurement_of(v, k, 1)[0], r, W);
   }
 };
 
@@ -102,35 +106,52 @@ struct Landmark {
 };
 
 // In the plane an angle, in space Z.local(direction). A point at the pose itself has no direction: it says nothing.
+template <class I, class J, bool kJacobian>
+HELIOGRAPH_INLINE void bearing_rows(const double* xi, const double* xj, const double* z, int stride, double* r, double* W) {
+  double q[3] = {0.0, 0.0, 0.0};
+  seen_from<I, J>(xi, xj, q);
+  const double length2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2], inverse2 = length2 > 0.0 ? 1.0 / length2 : 0.0;
+  if constexpr (I::kSpace == 2) {
+    double E[2];
+    lie::so2_between(z, q, E);
+    r[0] = std::atan2(E[1], E[0]);
+    const double g[2] = {-q[1] * inverse2, q[0] * inverse2};
+    if constexpr (kJacobian) put_seen_row<I, J>(xi, xj, q, g, W);
+    return;
+  }
+  if constexpr (I::kSpace == 3) {
+    const double inverse = std::sqrt(inverse2), y[3] = {inverse * q[0], inverse * q[1], inverse * q[2]};
+    double G[6];
+    lie::s2_local(z, y, r, kJacobian ? G : nullptr);
+    if constexpr (!kJacobian) return;
+    for (int i = 0; i < 2; ++i) {
+      const double along = lie::dot3(G + 3 * i, y);
+      double g[3];
+      for (int n = 0; n < 3; ++n) g[n] = inverse * (G[3 * i + n] - along * y[n]);
+      put_seen_row<I, J>(xi, xj, q, g, W + i * stride);
+    }
+  }
+}
+
 template <class I, class J>
 struct Bearing {
   using Layout = Fixed<I::kSpace - 1, I::kDof, J::kDof>;
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
-    const double *xi = value_of(v, k, 2, 0), *xj = value_of(v, k, 2, 1), *z = measurement_of(v, k, I::kSpace);
-    double q[3] = {0.0, 0.0, 0.0};
-    seen_from<I, J>(xi, xj, q);
-    const double length2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2], inverse2 = length2 > 0.0 ? 1.0 / length2 : 0.0;
-    if constexpr (I::kSpace == 2) {
-      double E[2];
-      lie::so2_between(z, q, E);
-      r[0] = std::atan2(E[1], E[0]);
-      const double g[2] = {-q[1] * inverse2, q[0] * inverse2};
-      if constexpr (kJacobian) put_seen_row<I, J>(xi, xj, q, g, W);
-      return;
-    }
-    if constexpr (I::kSpace == 3) {
-      const double inverse = std::sqrt(inverse2), y[3] = {inverse * q[0], inverse * q[1], inverse * q[2]};
-      double G[6];
-      lie::s2_local(z, y, r, kJacobian ? G : nullptr);
-      if constexpr (!kJacobian) return;
-      for (int i = 0; i < 2; ++i) {
-        const double along = lie::dot3(G + 3 * i, y);
-        double g[3];
-        for (int n = 0; n < 3; ++n) g[n] = inverse * (G[3 * i + n] - along * y[n]);
-        put_seen_row<I, J>(xi, xj, q, g, W + i * layout.stride());
-      }
-    }
+    const double* z = measurement_of(v, k, I::kSpace);
+    bearing_rows<I, J, kJacobian>(value_of(v, k, 2, 0), value_of(v, k, 2, 1), z, layout.stride(), r, W);
+  }
+};
+
+template <class I, class J>
+struct BearingRange {
+  static constexpr int kAngles = I::kSpace - 1;
+  using Layout = Fixed<I::kSpace, I::kDof, J::kDof>;
+  template <bool kJacobian>
+  HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
+    const double *xi = value_of(v, k, 2, 0), *xj = value_of(v, k, 2, 1), *z = measurement_of(v, k, I::kSpace + 1);
+    bearing_rows<I, J, kJacobian>(xi, xj, z, layout.stride(), r, W);
+    range_row<I, J, kJacobian>(xi, xj, z[I::kSpace], r + kAngles, kJacobian ? W + kAngles * layout.stride() : nullptr);
   }
 };
 

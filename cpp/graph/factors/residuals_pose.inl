@@ -2,7 +2,7 @@
 // Residuals of the whole value: prior Log(Z^-1 X) and between Log(Z^-1 Xi^-1 Xj). With E the argument of the logarithm and
 // Jr its right Jacobian: J_j = Jr^-1, J_i = -Jr^-1 Ad((Xi^-1 Xj)^-1).
 #pragma once
-#include "graph/factors/normal_blocks.inl"
+#include "graph/factors/actions.inl"
 #include "lie/s2.hpp"
 #include "lie/se2.hpp"
 #include "lie/se3.hpp"
@@ -28,7 +28,7 @@ struct PriorSo2 {
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout&, size_t k, double* r, double* W) {
     double E[2];
-    lie::so2_between(measurement_of(v, k, 2), value_of(v, k, 1, 0), E);
+    lie::so2_between(measurement_of(v, k, v.measurement_size), value_of(v, k, 1, 0), E);
     r[0] = lie::so2_log(E[0], E[1]).angle;
     if constexpr (kJacobian) W[0] = 1.0;
   }
@@ -63,7 +63,7 @@ struct PriorSe2 {
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
     double E[4];
-    lie::se2_between(measurement_of(v, k, 4), value_of(v, k, 1, 0), E);
+    lie::se2_between(measurement_of(v, k, v.measurement_size), value_of(v, k, 1, 0), E);
     const lie::Se2Jacobian J = lie::se2_log(E, r);
     if constexpr (kJacobian) put_se2(W, layout.stride(), 0, J);
   }
@@ -89,19 +89,20 @@ struct BetweenSe2 {
   }
 };
 
-// Motions with n vectors behind the rotation: SO(3) has none, SE(3) one, SE_2(3) two.
-template <int kVectors>
+// Motions with n vectors behind the rotation: SO(3) has none, SE(3) one, SE_2(3) two. A measurement may be of the leading
+// parts alone: then the first numbers of value and tangent are all that it looks at.
+template <int kMeasured, int kVectors>
 struct PriorMotion {
-  using Layout = Fixed<3 + 3 * kVectors, 3 + 3 * kVectors>;
+  using Layout = Fixed<3 + 3 * kMeasured, 3 + 3 * kVectors>;
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
-    double E[9 + 3 * kVectors], J[9], C[9];
-    lie::motion_between<kVectors>(measurement_of(v, k, 9 + 3 * kVectors), value_of(v, k, 1, 0), E);
-    const lie::RotationLog log = lie::motion_log<kVectors>(E, r);
+    double E[9 + 3 * kMeasured], J[9], C[9];
+    lie::motion_between<kMeasured>(measurement_of(v, k, v.measurement_size), value_of(v, k, 1, 0), E);
+    const lie::RotationLog log = lie::motion_log<kMeasured>(E, r);
     if constexpr (!kJacobian) return;
     lie::so3_right_jacobian_inverse(r, log.h, J);
     put3(W, layout.stride(), 0, 0, J);
-    for (int n = 1; n <= kVectors; ++n) {
+    for (int n = 1; n <= kMeasured; ++n) {
       lie::unroll3_jacobian(r, log, E + 6 + 3 * n, J, C);
       put3(W, layout.stride(), 3 * n, 0, C);
       put3(W, layout.stride(), 3 * n, 3 * n, J);
@@ -109,37 +110,44 @@ struct PriorMotion {
   }
 };
 
-template <int kVectors>
+// By both ends of D = Xi^-1 Xj, with Jr^-1 = [J 0; C J]: Ad of the inverse of D = (R, t) is [R' 0; -R' hat(t) R'], so that
+// J_i = -[J R' 0; C R' - J R' hat(t)  J R'] and J_j = [J 0; C J]. `n` counts the vectors; C and t belong to one of them.
+HELIOGRAPH_INLINE void put_ends(const double* D, const double* J, const double* JR, const double* C, int n, int stride, int i, int j,
+                                double* W) {
+  double CR[9], turned[9];
+  lie::multiply3_transposed(C, D, CR);
+  lie::multiply3_hat(JR, D + 6 + 3 * n, turned);
+  for (int k = 0; k < 9; ++k) turned[k] -= CR[k];
+  put3(W, stride, 3 * n, i, turned);
+  put3(W, stride, 3 * n, i + 3 * n, JR, -1.0);
+  put3(W, stride, 3 * n, j, C);
+  put3(W, stride, 3 * n, j + 3 * n, J);
+}
+
+template <int kMeasured, int kI, int kJ>
 struct BetweenMotion {
-  static constexpr int kDof = 3 + 3 * kVectors;
-  using Layout = Fixed<kDof, kDof, kDof>;
+  static constexpr int kDofI = 3 + 3 * kI;
+  using Layout = Fixed<3 + 3 * kMeasured, kDofI, 3 + 3 * kJ>;
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
-    double D[9 + 3 * kVectors], E[9 + 3 * kVectors];
-    lie::motion_between<kVectors>(value_of(v, k, 2, 0), value_of(v, k, 2, 1), D);
-    lie::motion_between<kVectors>(measurement_of(v, k, 9 + 3 * kVectors), D, E);
-    const lie::RotationLog log = lie::motion_log<kVectors>(E, r);
+    double D[9 + 3 * kMeasured], E[9 + 3 * kMeasured];
+    lie::motion_between<kMeasured>(value_of(v, k, 2, 0), value_of(v, k, 2, 1), D);
+    lie::motion_between<kMeasured>(measurement_of(v, k, 9 + 3 * kMeasured), D, E);
+    const lie::RotationLog log = lie::motion_log<kMeasured>(E, r);
     if constexpr (kJacobian) jacobians(D, E, r, log, layout.stride(), W);
   }
 
-  // Ad of the inverse of D = (R, t): [R' 0; -R' hat(t) R'], so that J_i = -[J R' 0; C R' - J R' hat(t)  J R'].
   HELIOGRAPH_INLINE void jacobians(const double* D, const double* E, const double* r, const lie::RotationLog& log, int stride,
                                    double* W) {
     double J[9], JR[9];
     lie::so3_right_jacobian_inverse(r, log.h, J);
     lie::multiply3_transposed(J, D, JR);
     put3(W, stride, 0, 0, JR, -1.0);
-    put3(W, stride, 0, kDof, J);
-    for (int n = 1; n <= kVectors; ++n) {
-      double C[9], CR[9], turned[9];
+    put3(W, stride, 0, kDofI, J);
+    for (int n = 1; n <= kMeasured; ++n) {
+      double C[9];
       lie::unroll3_jacobian(r, log, E + 6 + 3 * n, J, C);
-      lie::multiply3_transposed(C, D, CR);
-      lie::multiply3_hat(JR, D + 6 + 3 * n, turned);
-      for (int i = 0; i < 9; ++i) turned[i] -= CR[i];
-      put3(W, stride, 3 * n, 0, turned);
-      put3(W, stride, 3 * n, 3 * n, JR, -1.0);
-      put3(W, stride, 3 * n, kDof, C);
-      put3(W, stride, 3 * n, kDof + 3 * n, J);
+      put_ends(D, J, JR, C, n, stride, 0, kDofI, W);
     }
   }
 };
@@ -151,11 +159,11 @@ struct PriorS2 {
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
     const double* x = value_of(v, k, 1, 0);
     if constexpr (!kJacobian) {
-      lie::s2_local(measurement_of(v, k, 3), x, r, nullptr);
+      lie::s2_local(measurement_of(v, k, v.measurement_size), x, r, nullptr);
       return;
     }
     double G[6], first[3], second[3];
-    lie::s2_local(measurement_of(v, k, 3), x, r, G);
+    lie::s2_local(measurement_of(v, k, v.measurement_size), x, r, G);
     lie::s2_basis(x, first, second);
     for (int i = 0; i < 2; ++i) {
       W[i * layout.stride()] = lie::dot3(G + 3 * i, first);
@@ -170,8 +178,8 @@ struct PriorVector {
   using Layout = LayoutOf;
   template <bool kJacobian>
   HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
-    const double *x = value_of(v, k, 1, 0), *z = measurement_of(v, k, layout.rows());
-    for (int i = 0; i < layout.rows(); ++i) {
+    const double *x = value_of(v, k, 1, 0), *z = measurement_of(v, k, v.measurement_size);
+    for (int i = 0; i < layout.dof(0); ++i) {
       r[i] = x[i] - z[i];
       if constexpr (kJacobian) W[i * layout.stride() + i] = 1.0;
     }
@@ -209,6 +217,27 @@ struct LinearMotionVector {
       if constexpr (!kJacobian) continue;
       for (int j = 0; j < n; ++j) W[i * layout.stride() + j] = -F[i * n + j];
       W[i * layout.stride() + n + i] = 1.0;
+    }
+  }
+};
+
+// Chosen rows of a prior; their numbers follow the measured value.
+template <class Prior>
+struct RowsOf {
+  using Layout = Dynamic;
+  template <bool kJacobian>
+  HELIOGRAPH_INLINE void evaluate(const FactorView& v, const Layout& layout, size_t k, double* r, double* W) {
+    const typename Prior::Layout all(v);
+    double whole[kMaxDof], J[kMaxDof * row_stride(kMaxDof)];
+    if constexpr (kJacobian) clear(J, layout.dof(0) * all.stride());
+    Prior::template evaluate<kJacobian>(v, all, k, whole, J);
+    const double* chosen = measurement_of(v, k + 1, v.measurement_size) - layout.rows();
+    for (int i = 0; i < layout.rows(); ++i) {
+      const int row = static_cast<int>(chosen[i]);
+      const bool known = row >= 0 && row < layout.dof(0);  // whatever damaged data hold
+      r[i] = known ? whole[row] : 0.0;
+      if (!kJacobian || !known) continue;
+      for (int q = 0; q < layout.dof(0); ++q) W[i * layout.stride() + q] = J[row * all.stride() + q];
     }
   }
 };

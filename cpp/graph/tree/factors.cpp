@@ -35,9 +35,10 @@ int32_t TreeFactors::add_kind(const FactorKind& input) {
     kind.dof[a] = input.dofs[a];
     kind.storage[a] = storage_of(kind.manifold[a], input.dofs[a]);
   }
-  const FactorShape shape = shape_of(input.type, {kind.manifold.data(), arity}, {kind.dof.data(), arity});
+  const ShapeQuery query{{kind.manifold.data(), arity}, {kind.dof.data(), arity}, input.rows, input.measurement};
+  const FactorShape shape = shape_of(input.type, query);
   require(shape.known, "no residual is known for this factor type and its families");
-  kind.rows = input.type == FactorType::custom ? input.rows : shape.rows;
+  kind.rows = shape.rows;
   kind.measurement_size = shape.measurement;
   kind.noise = input.noise;
   kind.kernel = input.kernel;

@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "graph/cholesky/block_pool.hpp"
-#include "graph/factors/factor_group.hpp"
+#include "graph/factors/residual_kind.hpp"
 #include "graph/tree/variables.hpp"
 
 namespace heliograph {
@@ -29,6 +29,7 @@ struct FactorKind {
   NoiseForm noise = NoiseForm::scalar;
   KernelType kernel = KernelType::none;
   double width = 1.0;
+  int measurement = kAnySize;  // doubles of one
 };
 
 // Numbers of factors, and rows in their kinds, are given again when a factor has left.

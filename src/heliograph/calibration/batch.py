@@ -239,13 +239,15 @@ def _graph(
     motion: CalibrationMotion,
     prior: RigPrior,
 ) -> FactorGraph:
-    graph, keys, count = FactorGraph(), np.arange(len(poses)), len(poses)
+    graph, keys = FactorGraph(), np.arange(len(poses))
     graph.add(inertial)
     graph.add(
         LidarPose(
-            (keys, np.full(count, _MOUNTING), np.full(count, _CLOCK)),
-            data=_pose_data(poses, imu, start, motion),
-            noise=Covariance(poses.covariance),
+            keys,
+            _MOUNTING,
+            _CLOCK,
+            *_pose_data(poses, imu, start, motion),
+            Covariance(poses.covariance),
             kernel=Huber(_POSE_KERNEL),
         )
     )
@@ -259,28 +261,25 @@ def _graph(
     biases = Diagonal([config.gyro_bias_sigma] * 3 + [config.accel_bias_sigma] * 3)
     graph.add(Prior(_BIASES, np.zeros(6), biases))
     change = [prior.clock.offset - start.clock.offset, prior.clock.drift - start.clock.drift]
-    data = (SE3(prior.T_imu_lidar), np.array(change))
-    graph.add(CalibrationPrior((_MOUNTING, _CLOCK), data=data, noise=Information(prior.information)))
+    graph.add(CalibrationPrior(_MOUNTING, _CLOCK, SE3(prior.T_imu_lidar), change, Information(prior.information)))
     return graph
 
 
 def _pose_data(
     poses: LidarPoses, imu: ImuBatch, start: CalibrationState, motion: CalibrationMotion
-) -> tuple[Array, Array, Array]:
+) -> tuple[SE3, Array, Array]:
     """Return what the factor of the LiDAR's poses is made of: poses, body rates, seconds since the reference."""
     omega = _mean_rates(imu, motion.stamps_ns) - motion.bias[:, :3]
     span = np.asarray((poses.stamps_ns - start.clock.reference_ns) * 1e-9, dtype=np.float64)
-    return poses.T_odom_lidar, omega, span
+    return SE3(poses.T_odom_lidar), omega, span
 
 
 def _residual(
     poses: LidarPoses, imu: ImuBatch, start: CalibrationState, motion: CalibrationMotion, values: Values
 ) -> Array:
-    count = len(poses)
-    E = np.tile(values.at(_MOUNTING).matrix, (count, 1, 1))
-    clock = np.tile(values.at(_CLOCK), (count, 1))
-    data = _pose_data(poses, imu, start, motion)
-    return np.asarray(LidarPose.residual(values.at(np.arange(count)).matrix, E, clock, *data))
+    keys = np.arange(len(poses))
+    factors = LidarPose(keys, _MOUNTING, _CLOCK, *_pose_data(poses, imu, start, motion), Isotropic(1.0))
+    return factors.evaluate(values.at(keys), values.at(_MOUNTING), values.at(_CLOCK))[0]
 
 
 def _size(poses: LidarPoses, residual: Array, X_covariance: Array, values: Values) -> Array:
@@ -306,8 +305,9 @@ def _size(poses: LidarPoses, residual: Array, X_covariance: Array, values: Value
 
 
 def _change_by_calibration(values: Values, prior: RigPrior) -> tuple[Array, Array]:
-    E, clock = values.at(_MOUNTING).matrix[None], values.at(_CLOCK)[None]
-    by_mounting, by_clock = CalibrationPrior.jacobians(E, clock, prior.T_imu_lidar[None], clock)
+    clock = values.at(_CLOCK)
+    factor = CalibrationPrior(_MOUNTING, _CLOCK, SE3(prior.T_imu_lidar), clock, Isotropic(1.0))
+    by_mounting, by_clock = factor.evaluate(values.at(_MOUNTING), clock)[1]
     return by_mounting[0], by_clock[0]
 
 

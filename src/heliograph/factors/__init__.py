@@ -2,17 +2,10 @@
 
 from heliograph.factors.calibration_prior import CalibrationPrior
 from heliograph.factors.gravity import GravityDirection, GravityVector
-from heliograph.factors.inertial import (
-    CombinedImu,
-    CombinedImuOnDirection,
-    CombinedImuOnGravity,
-    PreintegratedImu,
-    PreintegratedImuOnDirection,
-    PreintegratedImuOnGravity,
-)
+from heliograph.factors.inertial import CombinedImu, PreintegratedImu
 from heliograph.factors.lidar_pose import LidarPose
-from heliograph.factors.positions import LeverArmPosition, LeverArmPositionOnArm, Velocity
-from heliograph.graph import Factor
+from heliograph.factors.positions import LeverArmPosition, Velocity
+from heliograph.graph.model.records import NativeRecord
 
 __all__ = [
     "SENSOR_FACTORS",
@@ -26,17 +19,12 @@ __all__ = [
     "Velocity",
 ]
 
-SENSOR_FACTORS: tuple[type[Factor], ...] = (
+SENSOR_FACTORS: tuple[type[NativeRecord], ...] = (
     CalibrationPrior,
     CombinedImu,
-    CombinedImuOnDirection,
-    CombinedImuOnGravity,
     LeverArmPosition,
-    LeverArmPositionOnArm,
     LidarPose,
     PreintegratedImu,
-    PreintegratedImuOnDirection,
-    PreintegratedImuOnGravity,
     Velocity,
 )
-"""All classes of this room: what `load_graph` and `ISAM2.load` need to read files that hold such factors."""
+"""All classes of this room: what `load_graph` needs to read files that hold such factors."""

@@ -48,18 +48,22 @@ class GravityVector:
 Gravity: TypeAlias = GravityDirection | GravityVector | ArrayLike
 
 
-def known_gravity(g_world: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Return known gravity as (count, 3).
+def known_gravity(gravity: Gravity) -> NDArray[np.float64]:
+    """Return what a factor knows of gravity: the vector (3,), or the magnitude (1,) behind a variable.
 
     Raises
     ------
     GraphError
         It is no vector of three finite numbers.
     """
-    g = np.asarray(g_world, dtype=np.float64)
+    if isinstance(gravity, GravityDirection):
+        return np.array([gravity.magnitude], dtype=np.float64)
+    if isinstance(gravity, GravityVector):
+        return np.ones(1)
+    g = np.array(gravity, dtype=np.float64)
     if g.shape != (3,) or not np.isfinite(g).all():
         raise GraphError(
             "gravity is a vector (3,) [m/s^2], GravityDirection(key=...) or GravityVector(key=...), "
             f"got shape {g.shape}"
         )
-    return np.broadcast_to(g, (count, 3))
+    return g

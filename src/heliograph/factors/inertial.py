@@ -7,59 +7,38 @@ integrated again from the samples, which the factor keeps.
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from heliograph import _core
-from heliograph.arrays import Array
+from heliograph.arrays import Array, Keys
 from heliograph.errors import GraphError
 from heliograph.factors.gravity import STANDARD_GRAVITY, Gravity, GravityDirection, GravityVector, known_gravity
-from heliograph.factors.motion_rows import kept_samples, motion_rows
-from heliograph.graph import Covariance, Factor
+from heliograph.factors.motion_rows import motion_measurements
+from heliograph.graph import Covariance
+from heliograph.graph.model.families import FAMILIES, Family, vectors
 from heliograph.graph.model.kernels import Kernel
+from heliograph.graph.model.records import NativeRecord, key_columns, plain_key
 from heliograph.imu import Preintegration
-from heliograph.lie import S2, ExtendedPose, s2
+from heliograph.lie import S2, ExtendedPose
 
-__all__ = [
-    "CombinedImu",
-    "CombinedImuOnDirection",
-    "CombinedImuOnGravity",
-    "PreintegratedImu",
-    "PreintegratedImuOnDirection",
-    "PreintegratedImuOnGravity",
-]
+__all__ = ["CombinedImu", "PreintegratedImu"]
 
 
 _FALLING = (0.0, 0.0, -STANDARD_GRAVITY)
+_STATE, _BIAS = (FAMILIES[ExtendedPose],), (vectors(6),)
 
 
-class _Inertial(Factor):
-    """What both factors share: which class serves which kind of gravity, and the data."""
+class _Inertial(NativeRecord):
+    """What both factors share: keys and data, with known gravity or with its variable behind the others."""
 
     __slots__ = ()
-
-    variables: ClassVar[tuple[Any, ...]] = (ExtendedPose, ExtendedPose, 6)
-    rows = 9
-    on_direction: ClassVar[type[_Inertial]]
-    on_gravity: ClassVar[type[_Inertial]]
-
-    @staticmethod
-    def residual(*arguments: Array) -> Array:
-        raise NotImplementedError
-
-    def __new__(cls, *_: Any, gravity: Gravity = _FALLING, **__: Any) -> _Inertial:  # noqa: ANN401
-        chosen = cls
-        if isinstance(gravity, GravityDirection):
-            chosen = cls.on_direction
-        elif isinstance(gravity, GravityVector):
-            chosen = cls.on_gravity
-        return object.__new__(chosen)
 
     def _join(
         self,
         keys: tuple[ArrayLike, ...],
+        families: tuple[tuple[Family, ...], ...],
         motion: Preintegration,
         covariance: Array,
         gravity: Gravity,
@@ -67,21 +46,37 @@ class _Inertial(Factor):
         kernel: Kernel | None,
     ) -> None:
         count = len(motion)
-        columns = [np.atleast_1d(np.asarray(key)) for key in keys]
-        if any(column.shape != (count,) for column in columns):
-            raise GraphError(
-                f"{self.kind}: {count} preintegrated intervals need {count} keys a variable, "
-                f"got {[column.shape for column in columns]}"
-            )
-        scale: Array
+        known = known_gravity(gravity)
         if isinstance(gravity, (GravityDirection, GravityVector)):
-            columns.append(np.full(count, gravity.key))
-            scale = np.full(count, gravity.magnitude if isinstance(gravity, GravityDirection) else 1.0)
-        else:
-            scale = known_gravity(gravity, count)
-        samples = kept_samples(motion) if keep_samples else np.zeros((count, 0, 7))
-        data, noise = (motion_rows(motion), samples, scale), Covariance(covariance)
-        Factor.__init__(self, tuple(columns), data=data, noise=noise, kernel=kernel)
+            families = (*families, (FAMILIES[S2] if isinstance(gravity, GravityDirection) else vectors(3),))
+        measurement, finite = motion_measurements(motion, known, keep_samples)
+        array, distinct = _keys_of_intervals(self.kind, keys, gravity, count)
+        self._fill(
+            keys=array,
+            measurement=measurement,
+            measured=None,
+            rows=covariance.shape[-1],
+            noise=Covariance(covariance),
+            kernel=kernel,
+            allowed=families,
+            sound=finite and distinct,
+        )
+
+
+def _keys_of_intervals(kind: str, keys: tuple[ArrayLike, ...], gravity: Gravity, count: int) -> tuple[Keys, bool]:
+    """Return the keys (N, arity), and whether they are one interval's and all different."""
+    if isinstance(gravity, (GravityDirection, GravityVector)):
+        keys = (*keys, gravity.key if count == 1 else np.full(count, gravity.key))
+    if count == 1 and all(map(plain_key, keys)):
+        return key_columns(kind, keys), len(set(keys)) == len(keys)
+    columns = [np.atleast_1d(np.asarray(key)) for key in keys]
+    if any(column.shape != (count,) for column in columns):
+        raise GraphError(
+            f"{kind}: {count} preintegrated intervals need {count} keys a variable, "
+            f"got {[column.shape for column in columns]}"
+        )
+    array = key_columns(kind, tuple(columns))
+    return array, count == 1 and len(set(array[0].tolist())) == len(columns)
 
 
 class PreintegratedImu(_Inertial):
@@ -110,9 +105,7 @@ class PreintegratedImu(_Inertial):
     """
 
     __slots__ = ()
-
-    variables: ClassVar[tuple[Any, ...]] = (ExtendedPose, ExtendedPose, 6)
-    rows = 9
+    type: ClassVar[int] = 64
 
     def __init__(
         self,
@@ -125,18 +118,8 @@ class PreintegratedImu(_Inertial):
         keep_samples: bool = True,
         kernel: Kernel | None = None,
     ) -> None:
-        self._join((i, j, bias), motion, motion.covariance, gravity, keep_samples, kernel)
-
-    @staticmethod
-    def residual(*arguments: Array) -> Array:
-        """Return residuals (N, 9) of X_i, X_j, bias, perhaps gravity, and the data."""
-        return np.asarray(_motion(*arguments, jacobians=False)[0])
-
-    @staticmethod
-    def jacobians(*arguments: Array) -> tuple[Array, ...]:
-        """Return the derivatives by each variable."""
-        _, by_i, by_j, by_bias, by_gravity = _motion(*arguments, jacobians=True)
-        return _with_gravity((by_i, by_j, by_bias), by_gravity, arguments)
+        families = (_STATE, _STATE, _BIAS)
+        self._join((i, j, bias), families, motion, motion.covariance, gravity, keep_samples, kernel)
 
 
 class CombinedImu(_Inertial):
@@ -157,9 +140,7 @@ class CombinedImu(_Inertial):
     """
 
     __slots__ = ()
-
-    variables: ClassVar[tuple[Any, ...]] = (ExtendedPose, 6, ExtendedPose, 6)
-    rows = 15
+    type: ClassVar[int] = 65
 
     def __init__(
         self,
@@ -173,87 +154,5 @@ class CombinedImu(_Inertial):
         keep_samples: bool = True,
         kernel: Kernel | None = None,
     ) -> None:
-        self._join((i, bias_i, j, bias_j), motion, motion.combined, gravity, keep_samples, kernel)
-
-    @staticmethod
-    def residual(*arguments: Array) -> Array:
-        """Return residuals (N, 15) of X_i, bias_i, X_j, bias_j, perhaps gravity, and the data."""
-        X_i, bias_i, X_j, bias_j, *others = arguments
-        return np.hstack([_motion(X_i, X_j, bias_i, *others, jacobians=False)[0], bias_j - bias_i])
-
-    @staticmethod
-    def jacobians(*arguments: Array) -> tuple[Array, ...]:
-        """Return the derivatives by each variable."""
-        X_i, bias_i, X_j, _, *others = arguments
-        _, by_i, by_j, by_bias, by_gravity = _motion(X_i, X_j, bias_i, *others, jacobians=True)
-        one, none = np.broadcast_to(np.eye(6), (len(X_i), 6, 6)), np.zeros((len(X_i), 6, 9))
-        parts = (
-            np.concatenate([by_i, none], axis=1),
-            np.concatenate([by_bias, -one], axis=1),
-            np.concatenate([by_j, none], axis=1),
-            np.concatenate([np.zeros((len(X_i), 9, 6)), one], axis=1),
-        )
-        return _with_gravity(parts, np.concatenate([by_gravity, none[..., :3]], axis=1), arguments)
-
-
-def _motion(*arguments: Array, jacobians: bool) -> tuple[Array, ...]:
-    """Evaluate X_i, X_j, bias, perhaps gravity's variable, and of the data rows, samples and gravity or its scale."""
-    X_i, X_j, bias, *variable, rows, samples, scale = arguments
-    gravity = variable[0] * scale[:, None] if variable else scale
-    flat = np.ascontiguousarray
-    found: tuple[Array, ...] = _core.motion_residuals(
-        flat(X_i), flat(X_j), flat(bias), flat(gravity), flat(rows), flat(samples), jacobians
-    )
-    return found
-
-
-def _with_gravity(parts: tuple[Array, ...], by_gravity: Array, arguments: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Return the parts, and the derivative by a vector of gravity where it is a variable."""
-    scale = arguments[-1]
-    return (*parts, by_gravity * scale[:, None, None]) if scale.ndim == 1 else parts
-
-
-def _on_sphere(found: tuple[Array, ...], down: Array) -> tuple[Array, ...]:
-    return (*found[:-1], found[-1] @ s2.basis(down))
-
-
-class PreintegratedImuOnGravity(PreintegratedImu):
-    """`PreintegratedImu` with gravity as a vector variable."""
-
-    __slots__ = ()
-    variables: ClassVar[tuple[Any, ...]] = (*PreintegratedImu.variables, 3)
-
-
-class PreintegratedImuOnDirection(PreintegratedImu):
-    """`PreintegratedImu` with the direction of gravity as a variable."""
-
-    __slots__ = ()
-    variables: ClassVar[tuple[Any, ...]] = (*PreintegratedImu.variables, S2)
-
-    @staticmethod
-    def jacobians(*arguments: Array) -> tuple[Array, ...]:
-        """Return the derivatives by each variable."""
-        return _on_sphere(PreintegratedImu.jacobians(*arguments), arguments[3])
-
-
-class CombinedImuOnGravity(CombinedImu):
-    """`CombinedImu` with gravity as a vector variable."""
-
-    __slots__ = ()
-    variables: ClassVar[tuple[Any, ...]] = (*CombinedImu.variables, 3)
-
-
-class CombinedImuOnDirection(CombinedImu):
-    """`CombinedImu` with the direction of gravity as a variable."""
-
-    __slots__ = ()
-    variables: ClassVar[tuple[Any, ...]] = (*CombinedImu.variables, S2)
-
-    @staticmethod
-    def jacobians(*arguments: Array) -> tuple[Array, ...]:
-        """Return the derivatives by each variable."""
-        return _on_sphere(CombinedImu.jacobians(*arguments), arguments[4])
-
-
-PreintegratedImu.on_direction, PreintegratedImu.on_gravity = PreintegratedImuOnDirection, PreintegratedImuOnGravity
-CombinedImu.on_direction, CombinedImu.on_gravity = CombinedImuOnDirection, CombinedImuOnGravity
+        families = (_STATE, _BIAS, _STATE, _BIAS)
+        self._join((i, bias_i, j, bias_j), families, motion, motion.combined, gravity, keep_samples, kernel)

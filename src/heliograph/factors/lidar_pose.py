@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import ClassVar
 
-from heliograph.arrays import Array
-from heliograph.graph import Factor
-from heliograph.lie import SE3, ExtendedPose, se3, so3
+import numpy as np
+from numpy.typing import ArrayLike
+
+from heliograph.errors import GraphError
+from heliograph.graph.model.families import FAMILIES, vectors
+from heliograph.graph.model.kernels import Kernel
+from heliograph.graph.model.noise import Noise
+from heliograph.graph.model.records import NativeRecord, as_measurement, key_columns
+from heliograph.lie import SE3, ExtendedPose
 
 __all__ = ["LidarPose"]
 
 
-class LidarPose(Factor):
+class LidarPose(NativeRecord):
     """A registered sweep: ``r = Log(Z^-1 X(c) E)``, eq. (3) of docs/theory/calibration.md.
 
     Z is the measured ``T_odom_lidar``, E the mounting ``T_imu_lidar``. X is the motion at the instant of the sweep as
@@ -19,47 +25,60 @@ class LidarPose(Factor):
     by what the clock has changed since, ``c = offset + span drift``, so that the factor stays exact while c is small
     against the motion's own times.
 
-    Variables are the state (ExtendedPose, odom), the mounting (SE3) and the change of the clock (2): offset [s] and
-    drift [s/s]. Data are Z (N, 4, 4), the body rate at X (N, 3) [rad/s] and the time since the clock's reference
-    (N,) [s]. Rows: rotation, position, both in the measured lidar frame [rad], [m].
+    Parameters
+    ----------
+    key : int or (N,) int
+        Keys of the states, ExtendedPose, odom.
+    mounting : int or (N,) int
+        Key of the mounting, an SE3.
+    clock : int or (N,) int
+        Key of the change of the clock, a vector of dimension 2: offset [s] and drift [s/s].
+    T_odom_lidar : SE3
+        Measured.
+    omega_imu : (3,) or (N, 3) float64
+        Body rate at X [rad/s].
+    span : float or (N,) float64
+        Time since the clock's reference [s].
+    noise : Noise
+        Noise of six rows: rotation [rad], position [m], both in the measured lidar frame.
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Numbers that do not fit the keys.
     """
 
     __slots__ = ()
+    type: ClassVar[int] = 68
 
-    variables = (ExtendedPose, SE3, 2)
-    rows = 6
-
-    @staticmethod
-    def residual(X: Array, E: Array, clock: Array, Z: Array, omega_imu: Array, span: Array) -> Array:
-        """Return the difference between predicted and measured pose (N, 6)."""
-        return se3.log(se3.inverse(Z) @ _moved(X, clock, omega_imu, span) @ E)
-
-    @staticmethod
-    def jacobians(
-        X: Array, E: Array, clock: Array, Z: Array, omega_imu: Array, span: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return the derivatives by the state (N, 6, 9), the mounting (N, 6, 6) and the clock (N, 6, 2)."""
-        moved = _moved(X, clock, omega_imu, span)
-        by_mounting = se3.right_jacobian_inverse(se3.log(se3.inverse(Z) @ moved @ E))
-        by_pose = by_mounting @ se3.adjoint(se3.inverse(E))
-        later = _later(clock, span)
-        back = np.swapaxes(so3.exp(later[:, None] * omega_imu), -1, -2)
-        turned = np.zeros((len(X), 6, 9))  # of the moved pose by the state
-        turned[:, :3, :3] = back
-        turned[:, 3:, 3:6] = back
-        turned[:, 3:, 6:9] = later[:, None, None] * back
-        twist = np.concatenate([omega_imu, np.einsum("nji,nj->ni", moved[:, :3, :3], X[:, :3, 4])], axis=1)
-        by_time = (by_pose @ twist[:, :, None])[:, :, 0]
-        by_clock = np.stack([by_time, span[:, None] * by_time], axis=2)
-        return by_pose @ turned, by_mounting, by_clock
-
-
-def _later(clock: Array, span: Array) -> Array:
-    return np.asarray(clock[:, 0] + span * clock[:, 1])
-
-
-def _moved(X: Array, clock: Array, omega_imu: Array, span: Array) -> Array:
-    """Return the poses (N, 4, 4) a little later, at constant body rate and velocity."""
-    later = _later(clock, span)[:, None]
-    R = X[:, :3, :3] @ so3.exp(later * omega_imu)
-    return se3.from_rotation_translation(R, X[:, :3, 3] + later * X[:, :3, 4])
+    def __init__(
+        self,
+        key: ArrayLike,
+        mounting: ArrayLike,
+        clock: ArrayLike,
+        T_odom_lidar: SE3,
+        omega_imu: ArrayLike,
+        span: ArrayLike,
+        noise: Noise,
+        *,
+        kernel: Kernel | None = None,
+    ) -> None:
+        keys = key_columns("LidarPose", (key, mounting, clock))
+        if not isinstance(T_odom_lidar, SE3):
+            raise GraphError(f"LidarPose: a pose is an SE3, not a {type(T_odom_lidar).__name__}")
+        pose = as_measurement("LidarPose", T_odom_lidar, len(keys))[0]
+        rate = as_measurement("LidarPose", omega_imu, len(keys))[0]
+        since = as_measurement("LidarPose", np.asarray(span, dtype=np.float64).reshape(-1, 1), len(keys))[0]
+        if rate.shape[1] != 3:
+            raise GraphError(f"LidarPose: body rates have 3 numbers, got {rate.shape[1]}")
+        self._fill(
+            keys=keys,
+            measurement=np.concatenate([pose, rate, since], axis=1),
+            measured=None,
+            rows=6,
+            noise=noise,
+            kernel=kernel,
+            allowed=((FAMILIES[ExtendedPose],), (FAMILIES[SE3],), (vectors(2),)),
+        )

@@ -2,36 +2,42 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from heliograph.arrays import Array
+from heliograph import _core
+from heliograph.arrays import Array, Keys
 from heliograph.errors import GraphError
-from heliograph.graph import Factor
+from heliograph.graph.model.families import FAMILIES, vectors
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.noise import Noise
-from heliograph.lie import SE3, ExtendedPose, so3
+from heliograph.graph.model.records import NativeRecord, key_columns
+from heliograph.lie import SE3, ExtendedPose
 
-__all__ = ["LeverArmPosition", "LeverArmPositionOnArm", "Velocity"]
+__all__ = ["LeverArmPosition", "Velocity"]
 
 
-class LeverArmPosition(Factor):
+_ON_BODY = ((FAMILIES[SE3], FAMILIES[ExtendedPose]),)
+_ON_BODY_AND_ARM = (*_ON_BODY, (vectors(3),))
+
+
+class LeverArmPosition(NativeRecord):
     """The position of a point on the body is measured: ``p + R l - z``.
 
     Parameters
     ----------
     key : int or (N,) int
-        Of the body, `SE3` or `ExtendedPose`.
+        Keys of the body, `SE3` or `ExtendedPose`.
     p_world : (3,) or (N, 3) float64
         Measured, such as an antenna's position [m].
     noise : Noise
-        Of three rows, along the axes of the world.
-    lever_arm : (3,) float64
+        Noise of three rows, along the axes of the world.
+    lever_arm : (3,) or (N, 3) float64
         The point in the body frame [m].
-    arm_key : int, optional
-        Of a vector variable of dimension 3 that holds the lever arm instead; then `lever_arm` is not given.
+    arm_key : int or (N,) int, optional
+        Key of a vector variable of dimension 3 that holds the lever arm instead; then `lever_arm` is not given.
     kernel : Kernel, optional
         For robust costs.
 
@@ -42,12 +48,7 @@ class LeverArmPosition(Factor):
     """
 
     __slots__ = ()
-
-    variables: ClassVar[tuple[Any, ...]] = ((SE3, ExtendedPose),)
-    rows = 3
-
-    def __new__(cls, *_: object, arm_key: int | None = None, **__: object) -> LeverArmPosition:  # noqa: D102
-        return object.__new__(cls if arm_key is None else LeverArmPositionOnArm)
+    type: ClassVar[int] = 66
 
     def __init__(
         self,
@@ -56,54 +57,37 @@ class LeverArmPosition(Factor):
         noise: Noise,
         *,
         lever_arm: ArrayLike | None = None,
-        arm_key: int | None = None,
+        arm_key: ArrayLike | None = None,
         kernel: Kernel | None = None,
     ) -> None:
         if (lever_arm is None) == (arm_key is None):
             raise GraphError(f"{self.kind}: give the lever arm, or the key of a variable that holds it, and not both")
-        keys = np.atleast_1d(np.asarray(key))
-        measured = _rows(self.kind, p_world, len(keys))
-        if arm_key is None:
-            data: tuple[Array, ...] = (_rows(self.kind, lever_arm, len(keys)), measured)
-            super().__init__((keys,), data=data, noise=noise, kernel=kernel)
-        else:
-            super().__init__((keys, np.full(len(keys), arm_key)), data=(measured,), noise=noise, kernel=kernel)
-
-    @staticmethod
-    def residual(T_world_body: Array, arm: Array, measured: Array) -> Array:
-        """Return the residuals (N, 3); the arm is a datum or a variable."""
-        return T_world_body[:, :3, 3] + _turned(T_world_body, arm) - measured
-
-    @staticmethod
-    def jacobians(T_world_body: Array, arm: Array, _measured: Array) -> tuple[Array, ...]:
-        """Return the derivative by the body."""
-        return (_by_body(T_world_body, arm),)
+        keys = key_columns(self.kind, (key,) if arm_key is None else (key, arm_key))
+        vectors_given = [p_world] if lever_arm is None else [lever_arm, p_world]
+        measurement = _side_by_side(self.kind, vectors_given, len(keys))
+        self._fill(
+            keys=keys,
+            measurement=measurement,
+            measured=None,
+            rows=3,
+            noise=noise,
+            kernel=kernel,
+            allowed=_ON_BODY if arm_key is None else _ON_BODY_AND_ARM,
+            sound=_sound(keys, measurement),
+        )
 
 
-class LeverArmPositionOnArm(LeverArmPosition):
-    """`LeverArmPosition` with the lever arm as a variable."""
-
-    __slots__ = ()
-
-    variables: ClassVar[tuple[Any, ...]] = ((SE3, ExtendedPose), 3)
-
-    @staticmethod
-    def jacobians(T_world_body: Array, arm: Array, _measured: Array) -> tuple[Array, ...]:
-        """Return the derivatives by body and lever arm."""
-        return _by_body(T_world_body, arm), T_world_body[:, :3, :3]
-
-
-class Velocity(Factor):
+class Velocity(NativeRecord):
     """The velocity of the body is measured in the world frame: ``v - z``.
 
     Parameters
     ----------
     key : int or (N,) int
-        Of an `ExtendedPose`.
+        Keys of variables `ExtendedPose`.
     v_world : (3,) or (N, 3) float64
         Measured [m/s].
     noise : Noise
-        Of three rows, along the axes of the world.
+        Noise of three rows, along the axes of the world.
     kernel : Kernel, optional
         For robust costs.
 
@@ -114,42 +98,36 @@ class Velocity(Factor):
     """
 
     __slots__ = ()
-
-    variables: ClassVar[tuple[Any, ...]] = (ExtendedPose,)
-    rows = 3
+    type: ClassVar[int] = 67
 
     def __init__(self, key: ArrayLike, v_world: ArrayLike, noise: Noise, *, kernel: Kernel | None = None) -> None:
-        keys = np.atleast_1d(np.asarray(key))
-        super().__init__((keys,), data=(_rows(self.kind, v_world, len(keys)),), noise=noise, kernel=kernel)
-
-    @staticmethod
-    def residual(X_world_body: Array, measured: Array) -> Array:
-        """Return the residuals (N, 3)."""
-        return X_world_body[:, :3, 4] - measured
-
-    @staticmethod
-    def jacobians(X_world_body: Array, measured: Array) -> tuple[Array, ...]:
-        """Return the derivative by the body."""
-        J = np.zeros((len(measured), 3, 9))
-        J[:, :, 6:] = X_world_body[:, :3, :3]
-        return (J,)
+        keys = key_columns(self.kind, (key,))
+        measurement = _side_by_side(self.kind, [v_world], len(keys))
+        self._fill(
+            keys=keys,
+            measurement=measurement,
+            measured=None,
+            rows=3,
+            noise=noise,
+            kernel=kernel,
+            allowed=((FAMILIES[ExtendedPose],),),
+            sound=_sound(keys, measurement),
+        )
 
 
-def _turned(T_world_body: Array, arm: Array) -> Array:
-    return np.asarray((T_world_body[:, :3, :3] @ arm[:, :, None])[..., 0])
+def _side_by_side(kind: str, vectors_given: list[ArrayLike], count: int) -> Array:
+    """Return vectors (3,) or (N, 3) in the columns of one array (N, 3 or 6)."""
+    out = np.empty((count, 3 * len(vectors_given)))
+    for k, given in enumerate(vectors_given):
+        array = np.asarray(given, dtype=np.float64)
+        if array.shape not in ((3,), (count, 3)):
+            raise GraphError(f"{kind}: {count} factors need vectors (3,) or ({count}, 3), got shape {array.shape}")
+        out[:, 3 * k : 3 * k + 3] = array
+    return out
 
 
-def _by_body(T_world_body: Array, arm: Array) -> Array:
-    """Return the derivative (N, 3, 6 or 9) of the point by the body; velocity does not move it."""
-    R = T_world_body[:, :3, :3]
-    J = np.zeros((len(arm), 3, 6 if T_world_body.shape[-1] == 4 else 9))
-    J[:, :, :3] = -R @ so3.hat(arm)
-    J[:, :, 3:6] = R
-    return J
-
-
-def _rows(kind: str, vectors: ArrayLike | None, count: int) -> Array:
-    array = np.asarray(vectors, dtype=np.float64)
-    if array.shape not in ((3,), (count, 3)):
-        raise GraphError(f"{kind}: {count} factors need vectors (3,) or ({count}, 3), got shape {array.shape}")
-    return np.broadcast_to(array, (count, 3))
+def _sound(keys: Keys, measurement: Array) -> bool:
+    """Return whether this is one factor of which nothing need be looked at more closely."""
+    if len(keys) != 1 or (keys.shape[1] == 2 and keys[0, 0] == keys[0, 1]):
+        return False
+    return _core.is_sound(0, measurement[0])  # a vector: all of it is finite

@@ -18,10 +18,21 @@ from heliograph.graph.incremental.settings import ISAM2Settings
 from heliograph.graph.incremental.update_result import UpdateResult
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import FactorGraph
-from heliograph.graph.model.factors import Bearing, Between, Landmark, LinearMotion, Position, Prior, Range
+from heliograph.graph.model.factors import (
+    Bearing,
+    BearingRange,
+    Between,
+    Landmark,
+    LinearMotion,
+    PartialPrior,
+    Position,
+    Prior,
+    Range,
+)
 from heliograph.graph.model.families import Family, family_of, vectors
 from heliograph.graph.model.kernels import DCS, Cauchy, GemanMcClure, Huber, TruncatedLeastSquares, Tukey
 from heliograph.graph.model.noise import Constrained, Covariance, Diagonal, Information, Isotropic, SquareRoot
+from heliograph.graph.model.surfaces import Attitude, Plane, PointToPlane
 from heliograph.graph.model.symbols import Symbol, key_name
 from heliograph.graph.model.values import Values
 from heliograph.graph.problem.settings import SolverSettings
@@ -30,7 +41,9 @@ from heliograph.graph.solver import solve
 __all__ = [
     "DCS",
     "ISAM2",
+    "Attitude",
     "Bearing",
+    "BearingRange",
     "Between",
     "Cauchy",
     "CliqueRecord",
@@ -51,6 +64,9 @@ __all__ = [
     "Landmark",
     "LinearMotion",
     "Marginals",
+    "PartialPrior",
+    "Plane",
+    "PointToPlane",
     "PoseGraphFile",
     "Position",
     "Prior",

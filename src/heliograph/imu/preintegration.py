@@ -133,14 +133,23 @@ class Preintegration:
         g_world : (3,) or (N, 3) float64
             Gravity [m/s^2].
         """
-        delta, g = self.corrected(gyro_bias, accel_bias), np.asarray(g_world, dtype=np.float64)
-        R, v = X_world_imu.rotation, X_world_imu.velocity
-        position = X_world_imu.position + v * self.duration_s[:, None] + g * self.gravity_s2[:, None]
-        velocity = v + g * self.gravity_s[:, None]
-        return ExtendedPose.from_rotation_position_velocity(
-            R @ delta.delta_R,
-            position + np.einsum("...ij,...j->...i", R, delta.delta_p),
-            velocity + np.einsum("...ij,...j->...i", R, delta.delta_v),
+        change, _, _ = self._change(gyro_bias, accel_bias)
+        X, g = np.empty((len(self), 5, 5)), np.empty((len(self), 3))
+        X[:], g[:] = X_world_imu.matrix, g_world
+        flat = np.ascontiguousarray
+        return ExtendedPose(
+            _core.predict_states(
+                flat(self.delta_R),
+                flat(self.delta_p),
+                flat(self.delta_v),
+                flat(self.duration_s),
+                flat(self.gravity_s),
+                flat(self.gravity_s2),
+                flat(self.bias_jacobian),
+                change,
+                X,
+                g,
+            )
         )
 
     def _change(self, gyro_bias: ArrayLike, accel_bias: ArrayLike) -> tuple[Array, Array, Array]:

@@ -1,5 +1,7 @@
 """Factors of preintegrated motions: their law, the linear range, and graphs that hold them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,13 +17,7 @@ from heliograph.factors import (
     PreintegratedImu,
     Velocity,
 )
-from heliograph.factors.inertial import (
-    CombinedImuOnDirection,
-    CombinedImuOnGravity,
-    PreintegratedImuOnDirection,
-    PreintegratedImuOnGravity,
-)
-from heliograph.factors.motion_rows import LINEAR_SHARE, kept_samples, linear_range, motion_rows
+from heliograph.factors.motion_rows import LINEAR_SHARE, MOTION_NUMBERS
 from heliograph.graph import (
     ISAM2,
     Diagonal,
@@ -37,7 +33,9 @@ from heliograph.graph import (
 )
 from heliograph.imu import preintegrate
 from heliograph.lie import S2, SE3, ExtendedPose, se23
-from heliograph.testing import assert_factor, numeric_jacobian
+from heliograph.testing import numeric_jacobian
+from native_records import part
+from reference.motion_rows import kept_samples, linear_range, motion_rows
 from reference.preintegration import motion_residual
 from states import GRAVITY, NOISE, START_NS, random_imu
 
@@ -51,54 +49,16 @@ def motions(rng, count):
     return preintegrate(random_imu(rng, duration=3.0), starts, ends, noise=NOISE, **biases)
 
 
-def data(width, gravity):
-    def draw(rng, count):
-        motion = motions(rng, count)
-        rows = motion_rows(motion)
-        if width is not None:
-            rows[:, RANGE] = width
-        return rows, kept_samples(motion), gravity(rng, count)
-
-    return draw
-
-
-def known(rng, count):
-    return rng.normal(scale=GRAVITY, size=(count, 3))
-
-
-def magnitude(_rng, count):
-    return np.full(count, GRAVITY)
-
-
-def unscaled(_rng, count):
-    return np.ones(count)
-
-
-# The biases drawn are outside the linear range as it is; inside it if it is wide, and in the passage if in between.
-@pytest.mark.parametrize("width", [None, 1e-9, 0.05])
-@pytest.mark.parametrize(
-    ("factor", "gravity"),
-    [
-        (PreintegratedImu, known),
-        (PreintegratedImuOnDirection, magnitude),
-        (PreintegratedImuOnGravity, unscaled),
-        (CombinedImu, known),
-        (CombinedImuOnDirection, magnitude),
-        (CombinedImuOnGravity, unscaled),
-    ],
-)
-def test_inertial_factor_obeys_the_law(rng, factor, gravity, width):
-    assert_factor(factor, rng, data(width, gravity))
-
-
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), angle=st.floats(0.0, 2.9), change=st.floats(0.0, 3.0))
 def test_jacobians_are_exact_at_large_errors(seed, angle, change):
     """Errors of up to 2.9 rad and tens of metres; biases inside the linear range, in the passage and outside."""
     rng = np.random.default_rng(seed)
-    motion = motions(rng, 1)
-    rows = motion_rows(motion)
-    rows[:, RANGE] = 0.5
+    motion, keys = motions(rng, 1), np.arange(1)
+    factor = CombinedImu(keys, 1 + keys, 2 + keys, 3 + keys, motion, gravity=GravityDirection(key=9, magnitude=GRAVITY))
+    measurement = factor.measurement.copy()
+    measurement[:, RANGE] = 0.5
+    factor = part(factor, keys, measurement=measurement)
     bias = np.hstack([motion.gyro_bias, motion.accel_bias]) + change * rng.normal(size=(1, 6)) / 3.0
     n = S2(rng.normal(size=(1, 3)))
     X_i, axis = ExtendedPose.exp(rng.normal(size=(1, 9))), rng.normal(size=3)
@@ -108,17 +68,32 @@ def test_jacobians_are_exact_at_large_errors(seed, angle, change):
     X_j = exact.predict(X_i, bias[:, :3], bias[:, 3:], GRAVITY * n.vector)
     error = np.concatenate([angle * axis / np.linalg.norm(axis), rng.normal(scale=20.0, size=6)])
     arrays = [X_i.matrix, bias, X_j.retract(error).matrix, rng.normal(size=(1, 6)), n.vector]
-    items = [rows, kept_samples(motion), np.full(1, GRAVITY)]
-    families = [allowed[0] for allowed in CombinedImuOnDirection.families]
-    _, jacobians = CombinedImuOnDirection.evaluate(arrays, items)
+    families = [allowed[0] for allowed in factor.allowed]
+
+    def residual(elements):
+        return factor.evaluate(*[family.wrap(x) for family, x in zip(families, elements, strict=True)])
+
+    _, jacobians = residual(arrays)
     for k, (family, J) in enumerate(zip(families, jacobians, strict=True)):
 
         def moved(step, k=k, family=family):
-            others = [*arrays[:k], family.retract(arrays[k], step[None]), *arrays[k + 1 :]]
-            return CombinedImuOnDirection.residual(*others, *items)[0]
+            return residual([*arrays[:k], family.retract(arrays[k], step[None]), *arrays[k + 1 :]])[0][0]
 
         slope = numeric_jacobian(moved, np.zeros(family.dof), step=1e-4)
         np.testing.assert_allclose(J[0], slope, rtol=0, atol=1e-6 * max(1.0, np.abs(slope).max()))
+
+
+@pytest.mark.parametrize("sharpest", [0, 1, 2])  # rotation, position, velocity: each bounds the linear range in turn
+def test_measurements_are_those_of_the_twin(rng, sharpest):
+    motion, keys, g = motions(rng, 7), np.arange(7), rng.normal(size=3)
+    scale = np.repeat(np.where(np.arange(3) == sharpest, 1e-4, 1e2), 3)
+    motion = replace(motion, covariance=scale[:, None] * motion.covariance * scale)
+    for kept in (True, False):
+        factor = PreintegratedImu(keys, 10 + keys, 20 + keys, motion, gravity=g, keep_samples=kept)
+        rows, known, samples = np.split(factor.measurement, [MOTION_NUMBERS, MOTION_NUMBERS + 3], axis=1)
+        np.testing.assert_allclose(rows, motion_rows(motion), rtol=1e-12)
+        np.testing.assert_array_equal(known, np.tile(g, (7, 1)))
+        np.testing.assert_array_equal(samples, kept_samples(motion).reshape(7, -1) if kept else np.zeros((7, 0)))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -128,7 +103,7 @@ def test_residual_is_that_of_its_equations(seed):
     X = se23.exp(rng.normal(size=(2, 5, 9)))
     keys, bias = np.arange(5), np.hstack([motion.gyro_bias, motion.accel_bias])
     factor = PreintegratedImu(keys, 10 + keys, 20 + keys, motion, gravity=g)
-    found = factor.residual(X[0], X[1], bias, *factor.data)
+    found = factor.evaluate(ExtendedPose(X[0]), ExtendedPose(X[1]), bias)[0]
     expected = [motion_residual(X[0, k], X[1, k], motion[k : k + 1], g) for k in range(5)]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
@@ -157,7 +132,7 @@ def test_outside_the_linear_range_the_motion_is_integrated_anew(rng):
     keys = np.arange(6)
     for kept in (True, False):
         factor = PreintegratedImu(keys, keys + 10, keys + 20, motion, keep_samples=kept)
-        residual = factor.residual(X_i.matrix, X_j.matrix, bias, *factor.data)
+        residual = factor.evaluate(X_i, X_j, bias)[0]
         largest = np.abs(residual).max()
         assert largest < 1e-9 if kept else largest > 1e-3
 
@@ -170,10 +145,10 @@ def test_padded_samples_give_the_same_motion(rng):
     bias = np.hstack([motion.gyro_bias, motion.accel_bias]) + change
     keys = np.arange(8)
     factor = PreintegratedImu(keys, keys + 10, keys + 20, motion)
-    X = np.tile(np.eye(5), (8, 1, 1))
+    X = ExtendedPose.identity()
     some = [PreintegratedImu(0, 1, 2, motion[k : k + 1]) for k in range(8)]
-    expected = [f.residual(X[:1], X[:1], bias[k : k + 1], *f.data)[0] for k, f in enumerate(some)]
-    np.testing.assert_array_equal(factor.residual(X, X, bias, *factor.data), expected)
+    expected = [f.evaluate(X, X, bias[k])[0][0] for k, f in enumerate(some)]
+    np.testing.assert_array_equal(factor.evaluate(X, X, bias)[0], expected)
     assert rows.shape == (8, 92)
 
 
@@ -289,8 +264,7 @@ def test_graphs_with_sensor_factors_are_written_and_read(rng, tmp_path):
     read, _ = load_graph(tmp_path / "graph.npz", factors=SENSOR_FACTORS)
     for before, after in zip(graph, read, strict=True):
         assert type(before) is type(after)
-        for a, b in zip(getattr(before, "data", ()), getattr(after, "data", ()), strict=True):
-            np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(before.measurement, after.measurement)
 
 
 def test_antenna_on_a_plain_pose_and_on_an_extended_one_see_the_same(rng):

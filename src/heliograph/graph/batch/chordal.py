@@ -426,7 +426,9 @@ def _held_at(at: Indices, value: Array) -> Anchors:
 def _measured(groups: Sequence[ResolvedGroup], code: int, families: tuple[Family, ...]) -> _Measured:
     """Return all measurements of a type of factor on variables of these families, in the order of the groups."""
     measured = families[-1] if code in (_PRIOR, _BETWEEN) else vectors(_DIMENSION.get(families[0], families[0].dof))
-    mine = [group for group in groups if group.code == code and group.families == families]
+    mine = [  # those that measure all of it
+        group for group in groups if (group.code, group.families, group.rows) == (code, families, measured.dof)
+    ]
     if not mine:
         return _Measured(
             variables=np.zeros((0, len(families)), dtype=np.int64),

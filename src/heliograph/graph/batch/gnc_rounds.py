@@ -209,7 +209,8 @@ def _ground(part: FactorGraph, values: Values) -> None:
 
 def _stretch(groups: list[ResolvedGroup], family: Family, first: int) -> tuple[NDArray[np.int64], Stretch]:
     """Return the numbers and the measurements of the between factors of a family."""
-    mine = [group for group in groups if group.code == _BETWEEN and group.families == (family, family)]
+    wanted = (_BETWEEN, (family, family), family.dof)  # measured whole
+    mine = [group for group in groups if (group.code, group.families, group.rows) == wanted]
     if not mine:
         none = np.zeros(0, dtype=np.int64)
         Z, omega = np.zeros((0, *family.shape)), np.zeros((0, family.dof, family.dof))

@@ -15,7 +15,7 @@ from heliograph.atomic import atomic_path
 from heliograph.errors import FormatError, GraphError
 from heliograph.graph.files.file_factors import DirectionPrior, KnownPlane, PlaneSighting
 from heliograph.graph.model import factors as built_in
-from heliograph.graph.model import kernels, noise
+from heliograph.graph.model import kernels, noise, surfaces
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.families import FAMILIES, Family, vectors
@@ -26,7 +26,9 @@ __all__ = ["KERNELS", "family_called", "load_graph", "name_of", "save_graph"]
 
 VERSION = 1
 
-_BUILT_IN: dict[str, type[FactorRecord]] = {name: getattr(built_in, name) for name in built_in.__all__}
+_BUILT_IN: dict[str, type[FactorRecord]] = {
+    name: getattr(room, name) for room in (built_in, surfaces) for name in room.__all__
+}
 _NOISES: dict[str, type[noise.Noise]] = {
     cls.__name__: cls
     for cls in (
@@ -82,7 +84,7 @@ def save_graph(path: Path | str, graph: FactorGraph, values: Values) -> None:
         np.savez(file, allow_pickle=False, **arrays)  # type: ignore[arg-type, unused-ignore]
 
 
-def load_graph(path: Path | str, *, factors: Iterable[type[Factor]] = ()) -> tuple[FactorGraph, Values]:
+def load_graph(path: Path | str, *, factors: Iterable[type[FactorRecord]] = ()) -> tuple[FactorGraph, Values]:
     """Read what `save_graph` wrote.
 
     Parameters
@@ -90,7 +92,8 @@ def load_graph(path: Path | str, *, factors: Iterable[type[Factor]] = ()) -> tup
     path : Path or str
         The file.
     factors : classes
-        The user's own factors in it, found by their names: a file holds data, not programs.
+        The user's own factors in it and those of other rooms, such as `heliograph.factors.SENSOR_FACTORS`, found by
+        their names: a file holds data, not programs.
 
     Returns
     -------
@@ -105,7 +108,7 @@ def load_graph(path: Path | str, *, factors: Iterable[type[Factor]] = ()) -> tup
         It holds factors whose class was not given, or does not fit.
     """
     path = Path(path)
-    known: list[type[Factor]] = [DirectionPrior, KnownPlane, PlaneSighting, *factors]
+    known: list[type[FactorRecord]] = [DirectionPrior, KnownPlane, PlaneSighting, *factors]
     own = {cls.__name__: cls for cls in known}
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
@@ -157,12 +160,14 @@ def _values(contents: Mapping[str, Any], arrays: _Arrays) -> Values:
     return values.with_packed(packed)
 
 
-def _graph(contents: Mapping[str, Any], arrays: _Arrays, own: Mapping[str, type[Factor]], path: Path) -> FactorGraph:
+def _graph(
+    contents: Mapping[str, Any], arrays: _Arrays, own: Mapping[str, type[FactorRecord]], path: Path
+) -> FactorGraph:
     graph = FactorGraph()
     for k, entry in enumerate(contents["records"]):
         kernel = None if entry["kernel"] is None else KERNELS[entry["kernel"][0]](float.fromhex(entry["kernel"][1]))
-        name, count, numbers = entry["kind"], len(arrays[f"factors{k}.keys"]), arrays[f"factors{k}.noise"]
-        cls = _own_class(entry, own, path, count) if entry["own"] else _BUILT_IN[name]
+        count, numbers = len(arrays[f"factors{k}.keys"]), arrays[f"factors{k}.noise"]
+        cls = _class_of(entry, own, path, count)
         graph.add(
             cls.restored(
                 keys=arrays[f"factors{k}.keys"],
@@ -179,18 +184,28 @@ def _graph(contents: Mapping[str, Any], arrays: _Arrays, own: Mapping[str, type[
     return graph
 
 
-def _own_class(entry: Mapping[str, Any], own: Mapping[str, type[Factor]], path: Path, count: int) -> type[Factor]:
+def _class_of(
+    entry: Mapping[str, Any], given: Mapping[str, type[FactorRecord]], path: Path, count: int
+) -> type[FactorRecord]:
     name = entry["kind"]
-    if name not in own:
+    if not entry["own"] and name in _BUILT_IN:
+        return _BUILT_IN[name]
+    if name not in given:
         raise GraphError(
             f"{path} holds {count} factors of {name}, which is not built in; give its class: "
             f"load_graph(path, factors=[{name}])"
         )
-    cls = own[name]
-    families = [[name_of(family) for family in allowed] for allowed in cls.families]
-    if cls.rows != entry["rows"] or families != entry["allowed"]:
+    cls = given[name]
+    if entry["own"] != issubclass(cls, Factor):
         raise GraphError(
-            f"{path}: {name} was saved with {entry['rows']} rows for {entry['allowed']}, the class given has "
-            f"{cls.rows} rows for {families}; give the class that the graph was built with"
+            f"{path}: its {count} factors of {name} are of another version, evaluated in another way; "
+            "build the graph again from the measurements and write it with save_graph"
         )
+    if issubclass(cls, Factor):
+        families = [[name_of(family) for family in allowed] for allowed in cls.families]
+        if cls.rows != entry["rows"] or families != entry["allowed"]:
+            raise GraphError(
+                f"{path}: {name} was saved with {entry['rows']} rows for {entry['allowed']}, the class given has "
+                f"{cls.rows} rows for {families}; give the class that the graph was built with"
+            )
     return cls

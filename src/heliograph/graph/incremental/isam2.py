@@ -20,6 +20,7 @@ from heliograph.graph.incremental.update_result import Tally, UpdateResult
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.families import Value
+from heliograph.graph.model.records import FactorRecord
 from heliograph.graph.model.values import Values
 
 __all__ = ["ISAM2"]
@@ -233,7 +234,7 @@ class ISAM2:
         )
 
     @classmethod
-    def load(cls, path: Path | str, *, factors: Iterable[type[Factor]] = ()) -> ISAM2:
+    def load(cls, path: Path | str, *, factors: Iterable[type[FactorRecord]] = ()) -> ISAM2:
         """Read what `save` wrote.
 
         Parameters

@@ -20,6 +20,7 @@ from heliograph.graph.incremental.custom_factors import CustomKind
 from heliograph.graph.incremental.tree_state import TreeState
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.key_runs import KeyRuns
+from heliograph.graph.model.records import FactorRecord
 
 __all__ = ["read_state", "state_arrays", "state_from", "write_state"]
 
@@ -71,7 +72,7 @@ def state_arrays(state: TreeState) -> _Arrays:
     return arrays
 
 
-def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor]]) -> TreeState:
+def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[FactorRecord]]) -> TreeState:
     """Return the state that `state_arrays` took apart; `factors` are the classes of the user's own.
 
     Raises
@@ -81,7 +82,7 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
     ValueError, KeyError, TypeError
         The arrays are damaged.
     """
-    classes = {cls.__name__: cls for cls in factors}
+    classes = {cls.__name__: cls for cls in factors if issubclass(cls, Factor)}
     contents = json.loads(arrays["contents"].tobytes().decode())
     state = TreeState()
     state._keys = arrays["keys"].tolist()
@@ -145,7 +146,7 @@ def write_state(path: Path | str, arrays: _Arrays, contents: Mapping[str, Any]) 
         np.savez(file, allow_pickle=False, about=np.frombuffer(about, dtype=np.uint8), **arrays)  # type: ignore[arg-type, unused-ignore]
 
 
-def read_state(path: Path | str, factors: Iterable[type[Factor]]) -> tuple[TreeState, dict[str, Any]]:
+def read_state(path: Path | str, factors: Iterable[type[FactorRecord]]) -> tuple[TreeState, dict[str, Any]]:
     """Read what `write_state` wrote: the state, and what the smoother said of itself.
 
     Raises

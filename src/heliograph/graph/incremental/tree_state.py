@@ -24,14 +24,14 @@ from heliograph.graph.model.families import Family, Value
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.key_runs import KeyRuns
 from heliograph.graph.model.noise import Isotropic, Whitening
-from heliograph.graph.model.records import as_keys, key_list
+from heliograph.graph.model.records import FactorRecord, as_keys, key_list
 from heliograph.graph.model.symbols import key_name
 from heliograph.graph.model.values import Values
 
 __all__ = ["TreeState"]
 
 Ints = NDArray[np.int32]
-# What tells kinds of factors apart: type, own class, families, form of noise, kernel, rows, shapes of the data.
+# What tells kinds of factors apart: type, own class, families, form of noise, kernel, rows, shapes of what is measured.
 KindName: TypeAlias = tuple[
     int, type[Factor] | None, tuple[Family, ...], int, Kernel | None, int, tuple[tuple[int, ...], ...]
 ]
@@ -293,6 +293,8 @@ class TreeState:
         if added.whitening.constrained:
             added = Added(first=added.first, record=added.record, whitening=stiff(added.whitening))
         scopes = self._numbers(added.record.keys, lambda: f"in {added.name(0)} and what follows it")
+        if len(scopes) == 1:
+            return [self._part(added, scopes, tuple([self._families[v] for v in scopes[0].tolist()]), None)]
         combinations: dict[tuple[Family, ...], list[int]] = {}
         for row, scope in enumerate(scopes.tolist()):
             combinations.setdefault(tuple([self._families[v] for v in scope]), []).append(row)
@@ -321,30 +323,32 @@ class TreeState:
 
     def _kind(self, added: Added, families: tuple[Family, ...], row: int) -> int:
         record, noise = added.record, added.whitening
-        fault = record.mismatch(families)
-        if fault is not None:
-            raise GraphError(f"{added.name(row)}: {fault}")
         own = type(record) if isinstance(record, Factor) else None
-        shapes = tuple([item.shape[1:] for item in record.data]) if isinstance(record, Factor) else ()
+        shapes: tuple[tuple[int, ...], ...] = ((record.width,),)
+        if isinstance(record, Factor):
+            shapes = tuple([item.shape[1:] for item in record.data])
         name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)
         kind = self._kinds.get(name)
         if kind is None:
-            kind = self._kinds[name] = self._new_kind(record.type, families, record.rows, noise, record.kernel)
+            fault = record.mismatch(families)
+            if fault is not None:
+                raise GraphError(f"{added.name(row)}: {fault}")
+            kind = self._kinds[name] = self._new_kind(record, families, noise)
             if own is not None:
                 self._custom.kinds[kind] = CustomKind(own, families)
         return kind
 
-    def _new_kind(
-        self, code: int, families: tuple[Family, ...], rows: int, noise: Whitening, kernel: Kernel | None
-    ) -> int:
+    def _new_kind(self, record: FactorRecord, families: tuple[Family, ...], noise: Whitening) -> int:
+        kernel = record.kernel
         return self.native.add_kind(
-            code,
+            record.type,
             np.array([family.code for family in families], dtype=np.int32),
             np.array([family.dof for family in families], dtype=np.int32),
-            rows,
+            record.rows,
             noise.form,
             0 if kernel is None else kernel.code,
             1.0 if kernel is None else float(kernel.width),
+            record.width,
         )
 
     def _add_factors(self, part: _Staged) -> Ints:

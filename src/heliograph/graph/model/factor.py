@@ -36,8 +36,8 @@ class Factor(FactorRecord):
 
     Parameters
     ----------
-    keys : int or (N,) int, or a tuple of them, one a variable
-        Which variables.
+    *keys : int or (N,) int
+        Which variables: one argument a variable, as for the built-in factors, or one tuple of all.
     data : sequence of lie values, arrays or numbers
         Handed to the residual after the variables. For int keys each datum is one instance's; for (N,) keys the first
         axis counts the instances. A single lie value or a number serves all.
@@ -68,7 +68,7 @@ class Factor(FactorRecord):
     ...     @staticmethod
     ...     def residual(p_i, p_j, distance):  # (N, 2), (N, 2), (N,)
     ...         return np.linalg.norm(p_j - p_i, axis=-1, keepdims=True) - distance[:, None]
-    >>> graph.add(Distance((0, 1), data=(3.0,), noise=Isotropic(0.1)))
+    >>> graph.add(Distance(0, 1, data=(3.0,), noise=Isotropic(0.1)))
 
     Notes
     -----
@@ -120,8 +120,7 @@ class Factor(FactorRecord):
 
     def __init__(
         self,
-        keys: ArrayLike | tuple[ArrayLike, ...],
-        *,
+        *keys: ArrayLike | tuple[ArrayLike, ...],
         noise: Noise,
         data: Sequence[object] = (),
         kernel: Kernel | None = None,
@@ -129,9 +128,12 @@ class Factor(FactorRecord):
         cls = type(self)
         if cls is Factor:
             raise GraphError("Factor is a base class: derive from it with `variables`, `rows` and `residual`")
-        columns = keys if isinstance(keys, tuple) else (keys,)
+        columns: tuple[Any, ...] = keys[0] if len(keys) == 1 and isinstance(keys[0], tuple) else keys
         if len(columns) != len(cls.families):
-            raise GraphError(f"{cls.__name__} joins {len(cls.families)} variables, got keys for {len(columns)}")
+            raise GraphError(
+                f"{cls.__name__} joins {len(cls.families)} variables, got keys for {len(columns)}; give one int or "
+                f"(N,) ints a variable, {cls.__name__}({_key_names(len(cls.families))}, data=..., noise=...)"
+            )
         single = all(np.ndim(column) == 0 for column in columns)
         array = key_columns(cls.__name__, columns)
         self._fill(
@@ -233,6 +235,10 @@ class Factor(FactorRecord):
     def _residuals(cls, arrays: Sequence[Array], data: Sequence[Array], name: Namer, finite: bool = True) -> Array:
         found = cls.residual(*arrays, *data)
         return _checked(f"{cls.__name__}.residual", found, (len(arrays[0]), cls.rows), name, finite)
+
+
+def _key_names(count: int) -> str:
+    return ", ".join("ijklmnop"[:count])
 
 
 def _checked(what: str, found: object, shape: tuple[int, ...], name: Namer, finite: bool = True) -> Array:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import bisect
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +20,7 @@ __all__ = ["Added", "FactorGraph"]
 _SHOWN = 20  # records that are printed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Added:
+class Added(NamedTuple):
     """A record as it stands in a graph.
 
     Parameters
@@ -83,11 +81,12 @@ class FactorGraph:
         """
         if not isinstance(record, FactorRecord):
             raise GraphError(f"a {type(record).__name__} is no factor; add Prior, Between, ... or a Factor of your own")
-        added = Added(first=self._count, record=record, whitening=_whitening(record, self._count))
-        self._added.append(added)
-        self._firsts.append(self._count)
-        self._count += len(record)
-        return range(added.first, self._count)
+        first = self._count
+        ready = record.noise.ready(record.rows) if record.sound else None
+        self._added.append(Added(first, record, _whitening(record, first) if ready is None else ready))
+        self._firsts.append(first)
+        self._count = first + len(record)
+        return range(first, self._count)
 
     def adopt(self, added: Added) -> range:
         """Add what a graph has checked already, and return the numbers of the factors here."""
@@ -202,15 +201,25 @@ def _whitening(record: FactorRecord, first: int) -> Whitening:
     def name(row: int) -> str:
         return f"factor {first + row} ({key_list(keys[row])})" if len(keys) else f"factor {first}"
 
-    ordered = np.sort(keys, axis=1)
-    itself = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
-    if itself.any():
+    itself = _twice(keys)
+    if itself is not None and itself.any():
         raise GraphError(f"{name(int(np.argmax(itself)))}: {record.kind} joins a variable with itself")
     flaws = record.flaws()
     if flaws.any():
         row = int(np.argmax(flaws))
         raise GraphError(f"{name(row)}: {_flaw(record, row)}")
-    return record.noise.whitening(record.rows, len(record), name)
+    ready = record.noise.ready(record.rows) if len(keys) == 1 else None
+    return record.noise.whitening(record.rows, len(record), name) if ready is None else ready
+
+
+def _twice(keys: NDArray[np.int64]) -> NDArray[np.bool_] | None:
+    """Return which factors (N,) join a variable with itself; None if they join only one."""
+    if keys.shape[1] == 1:
+        return None
+    if keys.shape[1] == 2:
+        return np.asarray(keys[:, 0] == keys[:, 1])
+    ordered = np.sort(keys, axis=1)
+    return np.asarray((ordered[:, 1:] == ordered[:, :-1]).any(axis=1))
 
 
 def _flaw(record: FactorRecord, row: int) -> str:

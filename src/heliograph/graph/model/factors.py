@@ -5,6 +5,7 @@ Keys are one int or (N,) ints a variable; measurements are one for all or one ea
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -16,14 +17,36 @@ from heliograph.graph.model.families import FAMILIES, Family, Value, vectors
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.noise import Noise
 from heliograph.graph.model.records import NativeRecord, as_measurement, key_columns
-from heliograph.lie import S2, SE2, SE3, SO2, ExtendedPose
+from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose
 
-__all__ = ["Bearing", "Between", "Landmark", "LinearMotion", "Position", "Prior", "Range"]
+__all__ = [
+    "Bearing",
+    "BearingRange",
+    "Between",
+    "Landmark",
+    "LinearMotion",
+    "PartialPrior",
+    "Position",
+    "Prior",
+    "Range",
+]
 
 
 # What has a frame to look from, and what has a place to be seen at, by the dimension of the space.
 _POSES = {2: (FAMILIES[SE2],), 3: (FAMILIES[SE3], FAMILIES[ExtendedPose])}
 _PLACED = {2: (vectors(2), *_POSES[2]), 3: (vectors(3), *_POSES[3])}
+
+# Variables that hold what is measured: a motion in space begins with its rotation, an extended pose with its pose.
+_HOLDERS = {SO3: (FAMILIES[SO3], *_POSES[3]), SE3: _POSES[3]}
+
+
+def _holders(measured: Family) -> tuple[Family, ...]:
+    return _HOLDERS.get(measured.lie, (measured,)) if measured.lie is not None else (measured,)
+
+
+# By the class of a single measurement.
+_ONE_HOLDER = {lie: (_holders(family),) for lie, family in FAMILIES.items()}
+_TWO_HOLDERS = {lie: 2 * allowed for lie, allowed in _ONE_HOLDER.items() if lie is not S2}
 
 
 class Prior(NativeRecord):
@@ -32,11 +55,12 @@ class Prior(NativeRecord):
     Parameters
     ----------
     key : int or (N,) int
-        Of the variable.
+        The variable's key, or one for each of N factors.
     value : lie value or (d,) or (N, d) float64
-        Measured; its family is the variable's.
+        Measured; its family is the variable's. An SE3 may also measure the pose of an ExtendedPose, an SO3 the rotation
+        of an SE3 or ExtendedPose: then it says nothing of the rest.
     noise : Noise
-        Of the residual, as many rows as the family has degrees of freedom.
+        Noise of the residual, as many rows as the value's family has degrees of freedom.
     kernel : Kernel, optional
         For robust costs.
 
@@ -50,6 +74,8 @@ class Prior(NativeRecord):
     type: ClassVar[int] = 1
 
     def __init__(self, key: ArrayLike, value: Value, noise: Noise, *, kernel: Kernel | None = None) -> None:
+        if self._fill_single((key,), value, noise, kernel, _ONE_HOLDER):
+            return
         keys = key_columns("Prior", (key,))
         measurement, family = as_measurement("Prior", value, len(keys))
         self._fill(
@@ -59,8 +85,63 @@ class Prior(NativeRecord):
             rows=family.dof,
             noise=noise,
             kernel=kernel,
+            allowed=(_holders(family),),
+        )
+
+
+class PartialPrior(NativeRecord):
+    """Some rows of a `Prior`: ``Log(Z^-1 X)[rows]``.
+
+    The rows of a motion are the rotation, about the axes of Z, then position (and velocity), along them, to first order
+    in the error. What is measured along the axes of the world is rather a `Position`; all of the rotation rather a
+    `Prior` with an SO3.
+
+    Parameters
+    ----------
+    key : int or (N,) int
+        The variable's key, or one for each of N factors.
+    value : lie value or (d,) or (N, d) float64
+        Its rows that are not chosen say nothing.
+    rows : sequence of int
+        Which rows, ascending.
+    noise : Noise
+        Noise of the chosen rows.
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Keys that are no integers, different numbers of keys and measurements, or rows that the family does not have.
+    """
+
+    __slots__ = ()
+    type: ClassVar[int] = 8
+
+    def __init__(
+        self, key: ArrayLike, value: Value, rows: Sequence[int], noise: Noise, *, kernel: Kernel | None = None
+    ) -> None:
+        keys = key_columns("PartialPrior", (key,))
+        measurement, family = as_measurement("PartialPrior", value, len(keys))
+        chosen = list(rows)
+        if not chosen or sorted(set(chosen)) != chosen or chosen[0] < 0 or chosen[-1] >= family.dof:
+            raise GraphError(f"PartialPrior: rows are ascending numbers of 0 to {family.dof - 1}, got {chosen}")
+        numbers = np.broadcast_to(np.array(chosen, dtype=np.float64), (len(keys), len(chosen)))
+        self._fill(
+            keys=keys,
+            measurement=np.concatenate([measurement, numbers], axis=1),
+            measured=family,
+            rows=len(chosen),
+            noise=noise,
+            kernel=kernel,
             allowed=((family,),),
         )
+
+    def flaws(self) -> NDArray[np.bool_]:
+        """Return which values (N,) are not finite or not on their manifold."""
+        assert self.measured is not None
+        value = self.measurement[:, : self.measured.storage]
+        return self.measured.off_manifold(self.measured.elements(value))
 
 
 class Between(NativeRecord):
@@ -71,9 +152,10 @@ class Between(NativeRecord):
     i, j : int or (N,) int
         Keys of the two variables.
     T_i_j : SE2, SE3, SO2, SO3, ExtendedPose or (d,) or (N, d) float64
-        Measured; its family is that of both variables.
+        Measured; its family is that of both variables. An SE3 may also join the poses of ExtendedPose variables, an SO3
+        the rotations of SE3 and ExtendedPose ones.
     noise : Noise
-        Of the residual, as many rows as the family has degrees of freedom, rotation first.
+        Noise of the residual, as many rows as the measurement has degrees of freedom, rotation first.
     kernel : Kernel, optional
         For robust costs.
 
@@ -87,6 +169,8 @@ class Between(NativeRecord):
     type: ClassVar[int] = 2
 
     def __init__(self, i: ArrayLike, j: ArrayLike, T_i_j: Value, noise: Noise, *, kernel: Kernel | None = None) -> None:
+        if self._fill_single((i, j), T_i_j, noise, kernel, _TWO_HOLDERS):
+            return
         keys = key_columns("Between", (i, j))
         measurement, family = as_measurement("Between", T_i_j, len(keys))
         if family.lie is S2:
@@ -98,8 +182,16 @@ class Between(NativeRecord):
             rows=family.dof,
             noise=noise,
             kernel=kernel,
-            allowed=((family,), (family,)),
+            allowed=(_holders(family), _holders(family)),
         )
+
+    def mismatch(self, families: tuple[Family, ...]) -> str | None:
+        """Return what is wrong with variables of these families, or None."""
+        bare = [family for family in families if family.lie is SO3]
+        if len(bare) == 1 and super().mismatch(families) is None:
+            names = ", ".join(family.name for family in families)
+            return f"Between joins two rotations or two poses, but its variables are {names}"
+        return super().mismatch(families)
 
 
 class Range(NativeRecord):
@@ -112,7 +204,7 @@ class Range(NativeRecord):
     distance : float or (N,) float64
         Measured, not negative [m].
     noise : Noise
-        Of one row.
+        Noise of one row [m].
     kernel : Kernel, optional
         For robust costs.
 
@@ -168,7 +260,7 @@ class Bearing(NativeRecord):
     direction : SO2 or S2
         Measured in the frame of i: an SO2 for poses SE2, an S2 for poses SE3 and ExtendedPose.
     noise : Noise
-        Of one row [rad] in the plane, of two in space (the tangent basis of `heliograph.lie.s2` at the measurement).
+        Noise of one row [rad] in the plane, of two in space (in the tangent basis of `heliograph.lie.s2` there).
     kernel : Kernel, optional
         For robust costs.
 
@@ -202,6 +294,62 @@ class Bearing(NativeRecord):
         )
 
 
+class BearingRange(NativeRecord):
+    """Direction and distance from a pose to a position are measured: the rows of `Bearing`, then that of `Range`.
+
+    Parameters
+    ----------
+    i, j : int or (N,) int
+        Keys as of `Bearing`.
+    direction : SO2 or S2
+        Measured in the frame of i, as of `Bearing`.
+    distance : float or (N,) float64
+        Measured, not negative [m].
+    noise : Noise
+        Noise of two rows in the plane, of three in space: angles [rad], then the distance [m].
+    kernel : Kernel, optional
+        For robust costs.
+
+    Raises
+    ------
+    GraphError
+        Keys that are no integers, different numbers of keys and measurements, or no direction.
+    """
+
+    __slots__ = ()
+    type: ClassVar[int] = 9
+
+    def __init__(
+        self,
+        i: ArrayLike,
+        j: ArrayLike,
+        direction: Value,
+        distance: ArrayLike,
+        noise: Noise,
+        *,
+        kernel: Kernel | None = None,
+    ) -> None:
+        angles = Bearing(i, j, direction, noise)
+        lengths = Range(i, j, distance, noise)
+        family = angles.measured
+        assert family is not None
+        self._fill(
+            keys=angles.keys,
+            measurement=np.concatenate([angles.measurement, lengths.measurement], axis=1),
+            measured=None,
+            rows=family.dof + 1,
+            noise=noise,
+            kernel=kernel,
+            allowed=angles.allowed,
+        )
+
+    def flaws(self) -> NDArray[np.bool_]:
+        """Return which measurements (N,) are not finite, no direction, or of a negative distance."""
+        direction, distance = self.measurement[:, :-1], self.measurement[:, -1]
+        long = np.abs(np.einsum("ni,ni->n", direction, direction) - 1.0)
+        return np.asarray(~((long <= 1e-3) & (distance >= 0.0) & np.isfinite(distance)))
+
+
 class Landmark(NativeRecord):
     """A point is measured in the frame of a pose: ``Ti^-1 p_j - z``.
 
@@ -214,7 +362,7 @@ class Landmark(NativeRecord):
     p_i : (d,) or (N, d) float64
         Measured in the frame of i [m].
     noise : Noise
-        Of d rows, in the frame of i.
+        Noise of d rows, in the frame of i.
     kernel : Kernel, optional
         For robust costs.
 
@@ -249,11 +397,11 @@ class Position(NativeRecord):
     Parameters
     ----------
     key : int or (N,) int
-        Of poses (SE2, SE3, ExtendedPose) or points.
+        Keys of poses (SE2, SE3, ExtendedPose) or points.
     p_world : (d,) or (N, d) float64
         Measured [m], d is 2 or 3.
     noise : Noise
-        Of d rows, along the world's axes.
+        Noise of d rows, along the world's axes.
     kernel : Kernel, optional
         For robust costs.
 
@@ -301,7 +449,7 @@ class LinearMotion(NativeRecord):
     u : (d_j,) or (N, d_j) float64
         What is added.
     noise : Noise
-        Of d_j rows.
+        Noise of d_j rows.
     kernel : Kernel, optional
         For robust costs.
 

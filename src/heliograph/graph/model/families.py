@@ -10,16 +10,29 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph import _core
 from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose
 from heliograph.lie import s2 as s2_ops
 
-__all__ = ["FAMILIES", "LARGEST_VECTOR", "Family", "Value", "family_named", "family_of", "stacked", "vectors"]
+__all__ = [
+    "FAMILIES",
+    "LARGEST_VECTOR",
+    "Family",
+    "Value",
+    "as_single",
+    "family_named",
+    "family_of",
+    "stacked",
+    "vectors",
+]
 
 Value: TypeAlias = Any  # a lie value (one or a batch), or an array of vectors (..., d)
 
 LARGEST_VECTOR = 16  # the native kernels have room for so many degrees of freedom in one variable
+
+_SIZES = range(1, LARGEST_VECTOR + 1)
 
 # How far from a rotation or a unit vector a value may be. Files print six digits, so rounding stays far below.
 _OFF_MANIFOLD = 1e-3
@@ -271,3 +284,26 @@ def stacked(value: Value) -> tuple[Array, Family, bool]:
             f"got {elements.shape}"
         )
     return (elements[None] if single else elements), family, single
+
+
+def as_single(value: Value) -> tuple[Array, Family] | None:
+    """Return the packed form (1, storage) and the family of one sound value; None for what needs a closer look.
+
+    What is added one by one would spend its time on arrays of one element.
+    """
+    family = FAMILIES.get(type(value))
+    if family is not None:
+        elements = value.vector if family.lie is S2 else value.matrix
+        if elements.ndim != len(family.shape):
+            return None
+    elif (
+        type(value) is np.ndarray
+        and value.ndim == 1
+        and value.dtype == np.float64
+        and 1 <= len(value) <= LARGEST_VECTOR
+    ):
+        elements, family = value, vectors(len(value))
+    else:
+        return None
+    packed = np.empty((1, family.storage))
+    return (packed, family) if _core.pack_single(family.code, elements, packed) else None

@@ -42,8 +42,10 @@ class KeyIndex:
         other._recent = dict(self._recent)
         return other
 
-    def add(self, keys: Keys, start: int) -> int | None:
+    def add(self, keys: Keys | list[int], start: int) -> int | None:
         """Give keys the codes ``start, start + 1, ...``; return a key taken or twice, and then change nothing."""
+        if isinstance(keys, list):
+            return self._add_few(keys, start)
         if len(keys) < _FEW:
             return self._add_few(keys.tolist(), start)
         twice = first_duplicate(keys)

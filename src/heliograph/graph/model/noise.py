@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph import _core
 from heliograph.arrays import Array, freeze
 from heliograph.errors import GraphError
 
@@ -29,6 +30,8 @@ __all__ = [
 Namer = Callable[[int], str]
 
 SCALAR, DIAGONAL, FULL = 0, 1, 2  # the forms of S, as the native side numbers them
+
+_LEAST, _LARGEST = 1e-100, 1e100  # standard deviations between which squares stay finite
 
 # Of the matrix scaled to a unit diagonal: six printed digits leave up to 5e-6 in every number.
 _ROUNDING = 3e-5
@@ -71,7 +74,7 @@ class Noise:
     A model is given for one factor and shared by all, or batched with the factors along the first axis.
     """
 
-    __slots__ = ("_numbers",)
+    __slots__ = ("_numbers", "_ready")
 
     form: ClassVar[int]
     constrained: ClassVar[bool] = False
@@ -86,6 +89,24 @@ class Noise:
             )
         array.flags.writeable = False
         self._numbers = array
+        self._ready: dict[int, Whitening] = {}  # by rows, where one serves all factors
+
+    def ready(self, rows: int) -> Whitening | None:
+        """Return the S that serves all factors of so many rows where no closer look is needed, else None."""
+        found = self._ready.get(rows)
+        if found is None and (sigmas := self._sigmas(rows)) is not None:
+            roots = [1.0 / sigma for sigma in sigmas if _LEAST < sigma < _LARGEST]
+            if len(roots) == len(sigmas):
+                alike = roots.count(roots[0]) == len(roots)
+                numbers = np.array([roots[:1] if alike else roots])
+                numbers.flags.writeable = False
+                found = Whitening(form=SCALAR if alike else DIAGONAL, shared=True, sqrt_information=numbers)
+                self._ready[rows] = found
+        return found
+
+    def _sigmas(self, rows: int) -> list[float] | None:  # noqa: ARG002
+        """Return the standard deviations, one or `rows`, if they are all that there is to one noise for all factors."""
+        return None
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({np.array2string(self._numbers, threshold=20)})"
@@ -142,7 +163,10 @@ class Noise:
         roots = np.ascontiguousarray(roots)
         roots.flags.writeable = False
         shared = self.shared or (len(roots) == 1 and count != 1)
-        return Whitening(form=form, shared=shared, sqrt_information=roots, constrained=self.constrained)
+        found = Whitening(form=form, shared=shared, sqrt_information=roots, constrained=self.constrained)
+        if self.shared:
+            self._ready[rows] = found
+        return found
 
     def _roots(self, stack: Array, name: Namer) -> Array:
         raise NotImplementedError
@@ -167,8 +191,7 @@ def _simplest(form: int, roots: Array, rows: int) -> tuple[int, Array]:
 
 
 def _require_positive(sigmas: Array, name: Namer) -> Array:
-    """Return the reciprocals; 1e-100 to 1e100 so that squares stay finite."""
-    bad = ~((sigmas > 1e-100) & (sigmas < 1e100))
+    bad = ~((sigmas > _LEAST) & (sigmas < _LARGEST))
     if bad.any():
         index = np.argwhere(bad)[0]
         raise GraphError(
@@ -194,6 +217,9 @@ class Isotropic(Noise):
     def __init__(self, sigma: ArrayLike) -> None:
         super().__init__(sigma)
 
+    def _sigmas(self, rows: int) -> list[float] | None:  # noqa: ARG002
+        return [self._numbers.item()] if self.shared else None
+
     def _roots(self, stack: Array, name: Namer) -> Array:
         return _require_positive(stack, name)
 
@@ -213,6 +239,9 @@ class Diagonal(Noise):
 
     def __init__(self, sigmas: ArrayLike) -> None:
         super().__init__(sigmas)
+
+    def _sigmas(self, rows: int) -> list[float] | None:
+        return self._numbers.tolist() if self._numbers.shape == (rows,) else None
 
     def _roots(self, stack: Array, name: Namer) -> Array:
         return _require_positive(stack, name)
@@ -303,19 +332,27 @@ class Covariance(Noise):
         super().__init__(P)
 
     def _roots(self, stack: Array, name: Namer) -> Array:
-        P, scale = _symmetric(stack, name, "covariance")
-        unit = P / (scale[:, :, None] * scale[:, None, :])
-        try:
-            # With the rows in reverse the factor is upper triangular: P = U U', so S = U^-1 is what is asked for.
-            lower = np.linalg.cholesky(unit[:, ::-1, ::-1])
-        except np.linalg.LinAlgError:
-            smallest = np.linalg.eigvalsh(P)[:, 0]
-            index = int(np.argmin(np.linalg.eigvalsh(unit)[:, 0]))
+        P, _ = _symmetric(stack, name, "covariance")
+        roots, failed = _core.covariance_roots(np.ascontiguousarray(P))
+        if failed >= 0:
+            smallest = np.linalg.eigvalsh(P[failed])[0]
             raise GraphError(
-                f"{name(index)}: its covariance matrix is not positive definite: smallest eigenvalue "
-                f"{smallest[index]:.6g}; use Constrained() or Information for what is certain or unknown"
-            ) from None
-        return np.triu(np.linalg.inv(lower[:, ::-1, ::-1])) / scale[:, None, :]
+                f"{name(failed)}: its covariance matrix is not positive definite: smallest eigenvalue {smallest:.6g}; "
+                "use Constrained() or Information for what is certain or unknown"
+            )
+        return np.asarray(roots)
+
+    def ready(self, rows: int) -> Whitening | None:
+        """Return the S of one covariance where no closer look is needed, else None."""
+        found = self._ready.get(rows)
+        P = self._numbers.reshape(-1, *self._numbers.shape[-2:])
+        if found is None and P.shape == (1, rows, rows) and (P[0] == P[0].T).all():
+            roots, failed = _core.covariance_roots(P)
+            if failed < 0 and np.count_nonzero(roots) > rows:
+                S = roots.reshape(1, -1)
+                S.setflags(write=False)
+                found = self._ready[rows] = Whitening(form=FULL, shared=self.shared, sqrt_information=S)
+        return found
 
 
 class SquareRoot(Noise):

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph import _core
 from heliograph.arrays import Array, Keys
 from heliograph.errors import GraphError
-from heliograph.graph.model.families import Family, Value, stacked
+from heliograph.graph.model.families import FAMILIES, Family, Value, as_single, stacked
 from heliograph.graph.model.kernels import Kernel
-from heliograph.graph.model.noise import Noise
+from heliograph.graph.model.noise import SCALAR, Noise
 from heliograph.graph.model.symbols import key_name
+from heliograph.lie import S2
 
-__all__ = ["FactorRecord", "NativeRecord", "as_keys", "as_measurement", "key_columns", "key_list"]
+__all__ = [
+    "FactorRecord",
+    "NativeRecord",
+    "as_keys",
+    "as_measurement",
+    "joined_keys",
+    "joined_measurements",
+    "key_columns",
+    "key_list",
+    "plain_key",
+]
+
+_LIMIT = 1 << 63  # of keys
 
 
 def as_keys(keys: ArrayLike) -> Keys:
@@ -50,14 +65,20 @@ def key_columns(kind: str, columns: tuple[ArrayLike, ...]) -> Keys:
     GraphError
         Not integers, more than one axis, or different numbers of them.
     """
+    if all(map(plain_key, columns)):
+        single = np.array([columns], dtype=np.int64)
+        single.setflags(write=False)
+        return single
     arrays = [as_keys(column) for column in columns]
     if any(array.ndim > 1 for array in arrays):
         raise GraphError(f"{kind}: keys are one int or (N,) ints a variable, got {[array.shape for array in arrays]}")
-    try:
-        stack = np.stack(np.broadcast_arrays(*[np.atleast_1d(array) for array in arrays]), axis=-1)
-    except ValueError:
-        raise GraphError(f"{kind}: different numbers of keys a variable, {[array.shape for array in arrays]}") from None
-    stack.flags.writeable = False
+    count = max(array.size for array in arrays)
+    if any(array.size not in (1, count) for array in arrays):
+        raise GraphError(f"{kind}: different numbers of keys a variable, {[array.shape for array in arrays]}")
+    stack = np.empty((count, len(arrays)), dtype=np.int64)
+    for k, array in enumerate(arrays):
+        stack[:, k] = array
+    stack.setflags(write=False)
     return stack
 
 
@@ -76,7 +97,9 @@ def as_measurement(kind: str, value: Value, count: int) -> tuple[Array, Family]:
 def _spread(kind: str, packed: Array, count: int) -> Array:
     if len(packed) != count and len(packed) != 1:
         raise GraphError(f"{kind}: {len(packed)} measurements for {count} factors; give one each, or one for all")
-    return np.array(np.broadcast_to(packed, (count, packed.shape[1])), dtype=np.float64, order="C")
+    spread = np.empty((count, packed.shape[1]))
+    spread[:] = packed
+    return spread
 
 
 class FactorRecord:
@@ -98,7 +121,7 @@ class FactorRecord:
         Families that each variable may have.
     """
 
-    __slots__ = ("allowed", "kernel", "keys", "measured", "measurement", "noise")
+    __slots__ = ("allowed", "kernel", "keys", "measured", "measurement", "noise", "single", "sound")
 
     type: ClassVar[int]  # by which the native side knows it
 
@@ -109,6 +132,8 @@ class FactorRecord:
     measured: Family | None
     rows: int
     allowed: tuple[tuple[Family, ...], ...]
+    sound: bool  # keys and measurement have been looked at already
+    single: tuple[tuple[int, ...], Value] | None  # keys and value of one factor: packed when they are asked for
 
     def _fill(
         self,
@@ -120,6 +145,7 @@ class FactorRecord:
         noise: Noise,
         kernel: Kernel | None,
         allowed: tuple[tuple[Family, ...], ...],
+        sound: bool = False,
     ) -> None:
         if not isinstance(noise, Noise):
             raise GraphError(
@@ -127,18 +153,18 @@ class FactorRecord:
             )
         if kernel is not None and not isinstance(kernel, Kernel):
             raise GraphError(f"{self.kind}: its kernel is a {type(kernel).__name__}; use None, Huber(width), ...")
-        measurement.flags.writeable = False
-        for name, value in (
-            ("keys", keys),
-            ("measurement", measurement),
-            ("measured", measured),
-            ("noise", noise),
-            ("kernel", kernel),
-            ("allowed", allowed),
-        ):
-            object.__setattr__(self, name, value)
+        measurement.setflags(write=False)
+        give = object.__setattr__  # one by one: a loop over pairs would take as long as all the rest of one factor
+        give(self, "keys", keys)
+        give(self, "measurement", measurement)
+        give(self, "measured", measured)
+        give(self, "noise", noise)
+        give(self, "kernel", kernel)
+        give(self, "allowed", allowed)
+        give(self, "sound", sound)
+        give(self, "single", None)
         if rows is not None:
-            object.__setattr__(self, "rows", rows)
+            give(self, "rows", rows)
 
     @classmethod
     def restored(cls, *, data: tuple[Array, ...] | None = None, **parts: Any) -> FactorRecord:  # noqa: ANN401
@@ -157,11 +183,21 @@ class FactorRecord:
             object.__setattr__(record, "data", data)
         return record
 
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        """Pack a single factor's keys and measurement; only called for what has not been set."""
+        if name not in ("keys", "measurement") or self.single is None:
+            raise AttributeError(f"{type(self).__name__} has no {name}")
+        keys, value = self.single
+        array = np.array([keys], dtype=np.int64) if name == "keys" else as_single(value)[0]  # type: ignore[index]
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+        return array
+
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"a {self.kind} record cannot be changed; make another one")
 
     def __len__(self) -> int:
-        return len(self.keys)
+        return len(self.keys) if self.single is None else 1
 
     def __repr__(self) -> str:
         return f"{self.kind}({len(self)} x {key_list(self.keys[0]) if len(self) else 'none'}, {self.noise!r:.60})"
@@ -174,7 +210,12 @@ class FactorRecord:
     @property
     def arity(self) -> int:
         """Variables of one factor."""
-        return int(self.keys.shape[1])
+        return int(self.keys.shape[1]) if self.single is None else len(self.single[0])
+
+    @property
+    def width(self) -> int:
+        """Doubles of one measurement."""
+        return self.measurement.shape[1] if self.single is None else self.measured.storage  # type: ignore[union-attr]
 
     def flaws(self) -> NDArray[np.bool_]:
         """Return which measurements (N,) are not finite or not on their manifold."""
@@ -190,7 +231,111 @@ class FactorRecord:
         return f"{self.kind} needs {wanted}, but its variables are {', '.join(family.name for family in families)}"
 
 
+def joined_keys(records: Sequence[FactorRecord]) -> Keys:
+    """Return the keys (N, arity) of records one after another."""
+    singles = [record.single for record in records]
+    if len(singles) > 1 and None not in singles:
+        return np.array([single[0] for single in singles if single is not None], dtype=np.int64)
+    arrays = [record.keys for record in records]
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def joined_measurements(records: Sequence[FactorRecord]) -> Array:
+    """Return the measurements (N, m) of records of one kind one after another."""
+    family = records[0].measured
+    values = [record.single[1] for record in records if record.single is not None]
+    if family is not None and len(values) == len(records) > 1:
+        return family.pack_elements(np.array([value.vector if family.lie is S2 else value.matrix for value in values]))
+    arrays = [record.measurement for record in records]
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
+def plain_key(key: object) -> bool:
+    """Return whether a key is an int of 64 bits: nothing to be checked or converted."""
+    return type(key) is int and -_LIMIT <= key < _LIMIT
+
+
 class NativeRecord(FactorRecord):
-    """A record of built-in factors."""
+    """A record of factors that are evaluated natively."""
 
     __slots__ = ("rows",)
+
+    def _fill_single(
+        self,
+        keys: tuple[object, ...],
+        value: Value,
+        noise: Noise,
+        kernel: Kernel | None,
+        allowed: Mapping[type[Any], tuple[tuple[Family, ...], ...]],
+    ) -> bool:
+        """Fill a record of one factor with a lie value if nothing about it needs a closer look; return whether it was.
+
+        What is added one by one would spend its time on arrays of one element.
+        """
+        lie = type(value)
+        if lie not in allowed or not isinstance(noise, Noise) or not (kernel is None or isinstance(kernel, Kernel)):
+            return False
+        for key in keys:
+            if type(key) is not int or not -_LIMIT <= key < _LIMIT:
+                return False
+        family = FAMILIES[lie]
+        elements = value.vector if lie is S2 else value.matrix
+        itself = len(keys) > 1 and keys[0] == keys[1]
+        if itself or elements.ndim != len(family.shape) or not _core.is_sound(family.code, elements):
+            return False
+        give = object.__setattr__
+        give(self, "single", (keys, value))
+        give(self, "sound", True)
+        give(self, "measured", family)
+        give(self, "rows", family.dof)
+        give(self, "noise", noise)
+        give(self, "kernel", kernel)
+        give(self, "allowed", allowed[lie])
+        return True
+
+    def evaluate(self, *variables: Value) -> tuple[Array, tuple[Array, ...]]:
+        """Return the factors' residuals and Jacobians at values of their variables; keys and noise play no part.
+
+        Parameters
+        ----------
+        *variables : lie value or (d,) or (N, d) float64
+            One a variable of the factor: a batch of N, or one value that serves all.
+
+        Returns
+        -------
+        residual : (N, rows) float64
+            Not whitened.
+        jacobians : tuple of (N, rows, dof) float64
+            One a variable, by right perturbation, rotation first.
+
+        Raises
+        ------
+        GraphError
+            Another number of variables or values, or a family that the factor does not take.
+        """
+        count = len(self)
+        if len(variables) != self.arity:
+            raise GraphError(f"{self.kind} joins {self.arity} variables, got values of {len(variables)}")
+        elements, families = zip(*[stacked(value)[:2] for value in variables], strict=True)
+        fault = self.mismatch(families)
+        if fault is not None:
+            raise GraphError(fault)
+        packed = [_spread(self.kind, f.pack_elements(e), count) for e, f in zip(elements, families, strict=True)]
+        none = np.empty(0)
+        residual, _, jacobians, *_ = _core.evaluate_factors(
+            self.type,
+            np.array([(family.code, family.dof, count) for family in families], dtype=np.int64),
+            np.concatenate([part.reshape(-1) for part in packed]),
+            np.ascontiguousarray(np.arange(count * self.arity, dtype=np.int32).reshape(self.arity, count).T),
+            self.rows,
+            self.measurement.reshape(-1),
+            SCALAR,
+            True,
+            np.ones(1),
+            0,
+            1.0,
+            none,
+            none,
+            none,
+        )
+        return residual, tuple(jacobians)

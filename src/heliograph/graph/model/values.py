@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from heliograph.arrays import Array, Keys
 from heliograph.errors import GraphError
-from heliograph.graph.model.families import Family, Value, family_named, stacked
+from heliograph.graph.model.families import Family, Value, as_single, family_named, stacked
 from heliograph.graph.model.key_index import KeyIndex
-from heliograph.graph.model.records import as_keys, key_list
+from heliograph.graph.model.records import as_keys, key_list, plain_key
 from heliograph.graph.model.symbols import key_name
 from heliograph.lie import S2, ExtendedPose
 
@@ -43,7 +43,7 @@ class _Block:
     def packed(self) -> Array:
         return self._packed[: self.count]
 
-    def append(self, keys: Keys, packed: Array) -> None:
+    def append(self, keys: Keys | list[int], packed: Array) -> None:
         total = self.count + len(keys)
         if total > len(self._keys):
             room = max(total, 2 * self.count)
@@ -92,7 +92,13 @@ class Values:
         GraphError
             A key is there already or twice in the call, the numbers differ, or a value is not finite or no rotation.
         """
-        array, elements, family = self._checked(keys, value)
+        one = as_single(value) if plain_key(keys) else None
+        array: Keys | list[int]
+        if one is not None:
+            array, packed, family = [keys], *one  # type: ignore[list-item]
+        else:
+            array, elements, family = self._checked(keys, value)
+            packed = family.pack_elements(elements)
         number = self._numbers.get(family)
         block = _Block(family) if number is None else self._blocks[number]
         if number is None:
@@ -106,7 +112,7 @@ class Values:
         if number == len(self._blocks):
             self._blocks.append(block)
             self._numbers[family] = number
-        block.append(array, family.pack_elements(elements))
+        block.append(array, packed)
 
     def update(self, keys: ArrayLike, value: Value) -> None:
         """Replace the values of variables that are there; parameters and errors as in `insert`."""

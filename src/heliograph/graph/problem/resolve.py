@@ -16,7 +16,7 @@ from heliograph.graph.model.factor_graph import Added, FactorGraph
 from heliograph.graph.model.families import Family
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.noise import Whitening
-from heliograph.graph.model.records import key_list
+from heliograph.graph.model.records import joined_keys, joined_measurements, key_list
 from heliograph.graph.model.values import Values
 
 __all__ = ["ResolvedGroup", "gather", "resolve", "resolve_fixed"]
@@ -143,12 +143,12 @@ def _kind(added: Added) -> Hashable:
     own: Hashable = None
     if isinstance(record, Factor):
         own = tuple(item.shape[1:] for item in record.data)
-    layout = (record.measured, record.measurement.shape[1], record.arity, record.rows, record.allowed)
+    layout = (record.measured, record.width, record.arity, record.rows, record.allowed)
     return type(record), own, layout, noise.form, noise.constrained, record.kernel
 
 
 def _resolve_kind(graph: FactorGraph, values: Values, members: Sequence[Added]) -> list[ResolvedGroup]:
-    keys = _concatenate([added.record.keys for added in members])
+    keys = joined_keys([added.record for added in members])
     numbers = _concatenate([np.arange(added.first, added.first + len(added.record)) for added in members])
     dense = values.dense(keys)
     missing = (dense < 0).any(axis=1)
@@ -203,7 +203,7 @@ def _group(
         families=families,
         variables=np.ascontiguousarray(select(dense), dtype=np.int32),
         numbers=select(numbers),
-        measurement=select(_concatenate([added.record.measurement for added in members])),
+        measurement=select(joined_measurements([added.record for added in members])),
         rows=record.rows,
         noise=_noise(members, rows),
         kernel=record.kernel,
@@ -215,6 +215,8 @@ def _group(
 def _noise(members: Sequence[Added], rows: NDArray[np.int64] | None) -> Whitening:
     """Return the noise of the members as one: shared if all of it is equal, else one S a factor."""
     first = members[0].whitening
+    if all(added.whitening is first for added in members[1:]) and first.shared:
+        return first
     if all(added.whitening.shared for added in members) and all(
         np.array_equal(added.whitening.sqrt_information, first.sqrt_information) for added in members[1:]
     ):

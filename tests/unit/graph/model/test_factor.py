@@ -146,6 +146,17 @@ def test_data_gets_the_instances_in_front(rng):
     assert FactorGraph().add(many) == range(2)
 
 
+def test_keys_are_given_one_a_variable_as_for_the_built_in_factors():
+    apart, together = Distance(1, 2, data=(3.0,), noise=NOISE), Distance((1, 2), data=(3.0,), noise=NOISE)
+    np.testing.assert_array_equal(apart.keys, together.keys)
+    many = Distance([1, 2], 3, data=([3.0, 4.0],), noise=NOISE)
+    np.testing.assert_array_equal(many.keys, [[1, 3], [2, 3]])
+    with pytest.raises(GraphError, match=r"joins 2 variables, got keys for 1; give .* Distance\(i, j, data="):
+        Distance([1, 2], data=(3.0,), noise=NOISE)
+    with pytest.raises(GraphError, match="joins 2 variables, got keys for 3"):
+        Distance(1, 2, 3, data=(3.0,), noise=NOISE)
+
+
 def test_data_that_are_not_finite_are_named():
     with pytest.raises(GraphError, match=r"factor 0 \(keys 1, 2\): data of Distance are not finite"):
         FactorGraph().add(Distance((1, 2), data=(np.nan,), noise=NOISE))

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT
-#include "imu/motion_factor.hpp"
+#include "imu/motion_row.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
+#include "imu/preintegrate.hpp"
 #include "lie/se3.hpp"
 
 namespace heliograph {
@@ -18,15 +20,16 @@ template <int Rows, int Columns>
 using RowMajor = Eigen::Matrix<double, Rows, Columns, Eigen::RowMajor>;
 using Matrix3r = RowMajor<3, 3>;
 
+static_assert(MotionRow::kSize == MotionRow::kModel + kImuModelNumbers);
+
 // An element of SE_2(3).
 struct Motion {
   Matrix3d R;
   Vector3d p, v;
 };
 
-Motion motion_of(const double* X) {
-  const Map<const RowMajor<5, 5>> M(X);
-  return {M.topLeftCorner<3, 3>(), M.block<3, 1>(0, 3), M.block<3, 1>(0, 4)};
+Motion motion_of(const double* packed) {
+  return {Map<const Matrix3r>(packed), Map<const Vector3d>(packed + 9), Map<const Vector3d>(packed + 12)};
 }
 
 Motion relative(const Motion& a, const Motion& b) {
@@ -103,15 +106,13 @@ Residual compare(const Motion& expected, const Matrix96& by_bias, const Motion& 
 
 // To first order in the change of the bias.
 Residual corrected(const double* row, const Eigen::Matrix<double, 6, 1>& change, const Motion& seen) {
-  const Motion delta{Map<const Matrix3r>(row + MotionRow::kR), Map<const Vector3d>(row + MotionRow::kP), Map<const Vector3d>(row + MotionRow::kV)};
   const Map<const RowMajor<9, 6>> by_bias(row + MotionRow::kByBias);
   const Vector9 step = by_bias * change;
-  return compare(moved(delta, step), right_jacobian(step) * by_bias, seen);
+  return compare(moved(motion_of(row), step), right_jacobian(step) * by_bias, seen);
 }
 
 // Integrated anew at the bias.
-Residual integrated(const double* row, const double* sampled, const double* bias, const Motion& seen) {
-  const auto count = static_cast<size_t>(row[MotionRow::kCount]);
+Residual integrated(const double* row, const double* sampled, size_t count, const double* bias, const Motion& seen) {
   std::vector<int64_t> stamps(count);
   std::vector<double> gyro(3 * count), accel(3 * count);
   for (size_t k = 0; k < count; ++k) {
@@ -143,14 +144,11 @@ struct Excess {
 };
 
 // The first order inside the linear range, the exact integral outside twice of it, and a smooth passage between.
-Residual at_bias(const MotionFactors& f, size_t k, const Motion& seen) {
-  const double* row = f.motion + MotionRow::kSize * k;
-  const double* bias = f.bias + 6 * k;
-  const double* sampled = f.sampled + kSampleNumbers * f.samples * k;
+Residual at_bias(const double* row, const double* sampled, size_t count, const double* bias, const Motion& seen) {
   const Eigen::Matrix<double, 6, 1> change = Map<const Eigen::Matrix<double, 6, 1>>(bias) - Map<const Eigen::Matrix<double, 6, 1>>(row + MotionRow::kBias);
   const Excess excess(row, change);
-  if (f.samples == 0 || excess.value <= 1.0) return corrected(row, change, seen);
-  Residual exact = integrated(row, sampled, bias, seen);
+  if (count == 0 || excess.value <= 1.0) return corrected(row, change, seen);
+  Residual exact = integrated(row, sampled, count, bias, seen);
   if (excess.value >= 2.0) return exact;
   const Residual first = corrected(row, change, seen);
   const double t = excess.value - 1.0, w = t * t * (3.0 - 2.0 * t), slope = 6.0 * t * (1.0 - t);
@@ -161,32 +159,20 @@ Residual at_bias(const MotionFactors& f, size_t k, const Motion& seen) {
   return exact;
 }
 
-void evaluate(const MotionFactors& f, size_t k, double* residual, const MotionJacobians& out) {
-  const double* times = f.motion + MotionRow::kSize * k + MotionRow::kTimes;
-  const double duration = times[0], gravity_s = times[1], gravity_s2 = times[2];
-  const Map<const Vector3d> g(f.gravity + 3 * k);
-  Motion i = motion_of(f.X_i + 25 * k);
-  const Motion j = motion_of(f.X_j + 25 * k);
-  i.p += duration * i.v + gravity_s2 * g;
-  i.v += gravity_s * g;
-  const Motion seen = relative(i, j);
-  const Residual found = at_bias(f, k, seen);
-  Map<Vector9>(residual + 9 * k) = found.log.r;
-  if (out.by_i == nullptr) return;
-  const Matrix99& by_j = found.log.jacobian_inverse;
-  Matrix99 by_i = -by_j * adjoint_of_inverse(seen.R, seen.p, seen.v);
-  by_i.rightCols<3>() += duration * by_i.middleCols<3>(3);
-  Map<RowMajor<9, 9>>(out.by_i + 81 * k) = by_i;
-  Map<RowMajor<9, 9>>(out.by_j + 81 * k) = by_j;
-  Map<RowMajor<9, 6>>(out.by_bias + 54 * k) = found.by_bias;
-  const Matrix3d back = j.R.transpose();
-  Map<RowMajor<9, 3>>(out.by_gravity + 27 * k) = -by_j.middleCols<3>(3) * (gravity_s2 * back) - by_j.rightCols<3>() * (gravity_s * back);
+// How many of the kept samples are used, whatever a damaged row says.
+size_t used(const double* row, size_t samples) {
+  const double count = row[MotionRow::kCount];
+  return count >= 1.0 ? static_cast<size_t>(std::min(count, static_cast<double>(samples))) : 0;
 }
 
 }  // namespace
 
-void evaluate_motions(const MotionFactors& factors, double* residual, const MotionJacobians& out) {
-  for (size_t k = 0; k < factors.count; ++k) evaluate(factors, k, residual, out);
+void motion_far(const double* row, const double* sampled, size_t samples, const double* bias, const double* seen, MotionTerm* out) {
+  const Residual found = at_bias(row, sampled, used(row, samples), bias, motion_of(seen));
+  Map<Vector9>(out->r) = found.log.r;
+  Map<Matrix3r>(out->J) = found.log.jacobian_inverse.topLeftCorner<3, 3>();
+  for (int n = 0; n < 2; ++n) Map<Matrix3r>(out->C[n]) = found.log.jacobian_inverse.block<3, 3>(3 + 3 * n, 0);
+  Map<RowMajor<9, 6>>(out->by_bias) = found.by_bias;
 }
 
 }  // namespace heliograph
