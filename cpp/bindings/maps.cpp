@@ -27,6 +27,18 @@ void merge_global(GlobalMap& map, const Cubes& cubes, const Points& sums, const 
   map.merge({{cubes.data(), 3 * count}, span_of(sums), span_of(intensity), span_of(counts)}, T ? T->data() : nullptr);
 }
 
+auto surfaces(const GlobalMap& map, double thickness, int threads) {
+  SurfacePoints found;
+  {
+    nb::gil_scoped_release release;
+    found = map.surfaces(thickness, threads);
+  }
+  const size_t count = found.counts.size();
+  return nb::make_tuple(to_numpy<float>(std::move(found.points), {count, 3}),
+                        to_numpy<float>(std::move(found.intensity), {count}),
+                        to_numpy<float>(std::move(found.counts), {count}));
+}
+
 auto voxel_planes(const VoxelMap& map) {
   std::vector<double> rows;
   for (size_t id = 0; id < map.size(); ++id) {
@@ -85,6 +97,7 @@ void bind_maps(nb::module_& m) {
       .def("counts", [](const GlobalMap& map) { return to_numpy<float>(map.counts(), {map.size()}); })
       .def("merge", &merge_global, "cubes"_a.noconvert(), "sums"_a.noconvert(), "intensity"_a.noconvert(),
            "counts"_a.noconvert(), "T_map_odom"_a.noconvert().none())
+      .def("surfaces", &surfaces, "thickness"_a, "threads"_a)
       .def("clear", &GlobalMap::clear)
       .def("cubes", [](const GlobalMap& map) { return to_numpy<int32_t>(map.cubes(), {map.size(), 3}); })
       .def("sums", [](const GlobalMap& map) { return to_numpy<float>(map.sums(), {map.size(), 3}); })

@@ -47,7 +47,7 @@ void GlobalMap::insert(std::span<const float> points_body, std::span<const float
     }
     for (size_t k = 0; k < batch; ++k) {
       if (keys[k] == kNoKey) continue;
-      Cell& cell = cells_[ids[k]];
+      MapCell& cell = cells_[ids[k]];
       for (size_t i = 0; i < 3; ++i) cell.sum[i] += local[k][i];
       if (!intensity.empty()) cell.intensity += intensity[begin + k];
       cell.count += 1.0F;
@@ -78,7 +78,7 @@ void GlobalMap::merge(const Cells& from, const double* T) {
       ids[k] = id;
     }
     for (size_t k = 0; k < batch; ++k) {
-      Cell& cell = cells_[ids[k]];
+      MapCell& cell = cells_[ids[k]];
       for (size_t i = 0; i < 3; ++i) cell.sum[i] += sums[k][i];
       cell.intensity += from.intensity[begin + k];
       cell.count += from.counts[begin + k];
@@ -110,7 +110,7 @@ void GlobalMap::clear() {
 std::vector<float> GlobalMap::points() const {
   std::vector<float> out;
   out.reserve(3 * cells_.size());
-  for (const Cell& cell : cells_) {
+  for (const MapCell& cell : cells_) {
     const Cube cube = unpack(cell.key);
     out.push_back(static_cast<float>((static_cast<double>(cube.x) + 0.5) * voxel_ + cell.sum[0] / cell.count));
     out.push_back(static_cast<float>((static_cast<double>(cube.y) + 0.5) * voxel_ + cell.sum[1] / cell.count));
@@ -122,21 +122,21 @@ std::vector<float> GlobalMap::points() const {
 std::vector<float> GlobalMap::intensity() const {
   std::vector<float> out;
   out.reserve(cells_.size());
-  for (const Cell& cell : cells_) out.push_back(cell.intensity / cell.count);
+  for (const MapCell& cell : cells_) out.push_back(cell.intensity / cell.count);
   return out;
 }
 
 std::vector<float> GlobalMap::counts() const {
   std::vector<float> out;
   out.reserve(cells_.size());
-  for (const Cell& cell : cells_) out.push_back(cell.count);
+  for (const MapCell& cell : cells_) out.push_back(cell.count);
   return out;
 }
 
 std::vector<int32_t> GlobalMap::cubes() const {
   std::vector<int32_t> out;
   out.reserve(3 * cells_.size());
-  for (const Cell& cell : cells_) {
+  for (const MapCell& cell : cells_) {
     const Cube cube = unpack(cell.key);
     for (const int64_t index : {cube.x, cube.y, cube.z}) out.push_back(static_cast<int32_t>(index));
   }
@@ -146,14 +146,14 @@ std::vector<int32_t> GlobalMap::cubes() const {
 std::vector<float> GlobalMap::sums() const {
   std::vector<float> out;
   out.reserve(3 * cells_.size());
-  for (const Cell& cell : cells_) out.insert(out.end(), cell.sum, cell.sum + 3);
+  for (const MapCell& cell : cells_) out.insert(out.end(), cell.sum, cell.sum + 3);
   return out;
 }
 
 std::vector<float> GlobalMap::intensity_sums() const {
   std::vector<float> out;
   out.reserve(cells_.size());
-  for (const Cell& cell : cells_) out.push_back(cell.intensity);
+  for (const MapCell& cell : cells_) out.push_back(cell.intensity);
   return out;
 }
 

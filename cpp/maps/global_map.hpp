@@ -6,6 +6,7 @@
 #include <span>
 #include <vector>
 
+#include "maps/surfaces.hpp"
 #include "util/flat_index.hpp"
 
 namespace heliograph {
@@ -30,7 +31,7 @@ class GlobalMap {
   void clear();
 
   size_t size() const { return cells_.size(); }
-  size_t bytes() const { return index_.bytes() + cells_.capacity() * sizeof(Cell); }
+  size_t bytes() const { return index_.bytes() + cells_.capacity() * sizeof(MapCell); }
   std::vector<float> points() const;     // (M, 3) mean of each cube, in the order in which cubes were first seen
   std::vector<float> intensity() const;  // (M,)
   std::vector<float> counts() const;     // (M,) points averaged
@@ -38,19 +39,17 @@ class GlobalMap {
   std::vector<float> sums() const;       // (M, 3) sum of the points' offsets from the cube's centre
   std::vector<float> intensity_sums() const;  // (M,)
 
+  // The means without the traces of the grid, see surfaces.hpp.
+  SurfacePoints surfaces(double thickness, int threads) const {
+    return surface_points(cells_, voxel_, thickness, threads);
+  }
+
  private:
-  struct Cell {
-    uint64_t key;
-    float sum[3];  // relative to the cube's centre
-    float intensity;
-    float count;
-    float unused;
-  };
   Cube moved(const int32_t* cube, const float* sum, float count, const double* T, std::array<float, 3>& moved_sum) const;
 
   double voxel_;
   FlatIndex index_;
-  std::vector<Cell> cells_;
+  std::vector<MapCell> cells_;
 };
 
 }  // namespace heliograph

@@ -94,6 +94,23 @@ void check_global_merge() {
   CHECK(whole.points() == part.points());
 }
 
+void check_surfaces() {
+  GlobalMap map(0.1);
+  CHECK(map.surfaces(0.02, 2).counts.empty());
+  map.insert(std::vector<float>{50.0F, 0.0F, 0.0F}, {}, kIdentity);
+  std::vector<float> wall;  // 12 mm above a border and below it by turns
+  for (int i = 0; i < 400; ++i)
+    for (int j = 0; j < 400; ++j)
+      wall.insert(wall.end(), {0.025F * static_cast<float>(i) + 0.01F, 0.025F * static_cast<float>(j) + 0.01F,
+                               (i + j) % 2 == 0 ? 0.012F : -0.012F});
+  map.insert(wall, {}, kIdentity);
+  const SurfacePoints found = map.surfaces(0.02, 2);
+  CHECK(map.size() == 20'001 && found.counts.size() == 10'001);
+  CHECK(found.points == map.surfaces(0.02, 1).points);
+  CHECK(found.points[0] == map.points()[0] && found.points[2] == map.points()[2]);
+  for (size_t k = 1; k < found.counts.size(); ++k) CHECK_NEAR(found.points[3 * k + 2], 0.0F, 1e-4F);
+}
+
 }  // namespace
 
 void check_maps() {
@@ -101,4 +118,5 @@ void check_maps() {
   check_odd_points();
   check_global();
   check_global_merge();
+  check_surfaces();
 }

@@ -461,6 +461,9 @@ class OutputConfig:
     ----------
     map_voxel : float
         Edge of the output map's voxels, one averaged point each [m].
+    surface_thickness : float
+        Voxels whose averages scatter about a plane by no more (RMS) are one surface, and are averaged across the borders
+        of the grid [m]; 0 leaves each voxel its own average.
     map_format : str
         ``"ply"``, ``"pcd"`` or ``"laz"``.
     body : str
@@ -473,6 +476,7 @@ class OutputConfig:
     """
 
     map_voxel: float = 0.1
+    surface_thickness: float = 0.02
     map_format: str = "ply"
     body: str = "imu"
     keyframe_distance: float = 2.0
@@ -482,6 +486,7 @@ class OutputConfig:
 
     def __post_init__(self) -> None:
         check_range(self, "map_voxel", "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", above=0.0)
+        check_range(self, "surface_thickness", low=0.0)
         check_choice(self, "map_format", "ply", "pcd", "laz")
 
 

@@ -36,7 +36,7 @@ class MapWriter:
     config : OutputConfig
         Edge of the cubes, and when a keyframe comes.
     threaded : bool
-        Whether a thread of its own does the work; the result is the same.
+        Whether a second thread may do some of the work; the result is the same.
     """
 
     def __init__(self, path: Path, config: OutputConfig, *, threaded: bool = False) -> None:
@@ -45,6 +45,7 @@ class MapWriter:
         self._open = GlobalMap(config.map_voxel)
         self._keyframe: tuple[int, NDArray[np.float64]] | None = None
         self._full = self._released = False
+        self._threads = 2 if threaded else 1
         self._background = Background(threaded=threaded)
 
     @property
@@ -77,19 +78,19 @@ class MapWriter:
         Returns
         -------
         points_map : (N, 3) float32
-            The mean of each cube [m].
+            The surfaces' points [m]; without `OutputConfig.surface_thickness` the mean of each cube.
         intensity : (N,) float32
-            Its mean intensity.
+            Their mean intensity.
         """
         self._background.wait()
         whole, rigid = GlobalMap(self._config.map_voxel), final.rigid
         for submap in self._submaps():
             moved = final.T_map_odom(np.array([submap.stamp_ns]))[0] if rigid is None else None
             whole.merge(submap.cells, moved)
-        points = whole.points()
+        points, intensity = self._averaged(whole)
         if rigid is not None and not np.array_equal(rigid, np.eye(4)):
             points = _moved(points, rigid)
-        return points, whole.intensity()
+        return points, intensity
 
     def release(self, *, keep: bool) -> bool:
         """Let go of the file: with ``keep`` it stays, and the points since the last keyframe are added to it.
@@ -111,6 +112,11 @@ class MapWriter:
             if not keep:
                 self.path.unlink(missing_ok=True)
         return keep
+
+    def _averaged(self, whole: GlobalMap) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        if self._config.surface_thickness == 0.0:
+            return whole.points(), whole.intensity()
+        return whole.surfaces(self._config.surface_thickness, threads=self._threads)
 
     def _add(self, result: ScanResult) -> None:
         try:
