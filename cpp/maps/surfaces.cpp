@@ -17,11 +17,11 @@ constexpr uint32_t kNone = ~uint32_t{0};
 constexpr size_t kChunk = 8192;  // cells
 constexpr size_t kAround = 28;  // 27 cubes, in fours
 
-// In units of the thickness: how far from its plane a cell may lie. Noise of 0.8 of the thickness is split evenly by a
-// border into means at 0.64; what it throws beyond 2.5 are few points, and next to nothing beyond 5.
+// In units of the thickness: how far from its plane a cell may lie. Noise as large as the thickness is split by a border
+// into means at 0.8 of it; of what it throws beyond 2.5 some points come together in a cell, beyond 4 hardly one.
 constexpr float kGate = 2.5F;
-constexpr float kFarGate = 5.0F;
-constexpr float kFew = 0.02F;  // share of the points of the plane's typical cell that noise may throw beyond the gate
+constexpr float kFarGate = 4.0F;
+constexpr float kBeyond = 0.0062F;  // share of normal noise beyond kGate on one side
 
 // In units of the voxel's edge.
 constexpr float kRadius = 2.0F;     // where a neighbour's weight comes to nothing
@@ -249,10 +249,12 @@ class Surfaces {
     return plane;
   }
 
-  // Whether a cell of so many points may have been thrown so far off the plane by noise.
+  // Whether a cell of `count` points may lie `residual` off the plane: up to the gate, or farther where they are no more
+  // than noise throws there (Poisson, four sigmas).
   bool belongs(float residual, float count, const Plane& plane) const {
-    const float gate = count <= kFew * plane.typical ? kFarGate / kGate * gate_ : gate_;
-    return plane.typical >= 0.0F && std::abs(residual) <= gate;
+    if (plane.typical < 0.0F || std::abs(residual) > kFarGate / kGate * gate_) return false;
+    const float expected = kBeyond * plane.typical;
+    return std::abs(residual) <= gate_ || count <= expected + 4.0F * std::sqrt(expected);
   }
 
   // Its own plane, or, as on edges, the nearest of its neighbours' planes.

@@ -138,3 +138,100 @@ class SlowGlobalMap:
 
     def counts(self):
         return np.array([len(cell) for cell in self.cells.values()])
+
+
+class SlowSurfaces:
+    """Planes about every cell by `numpy.linalg.eigh` over a dictionary of cells; cell by cell, pair by pair."""
+
+    def __init__(self, cubes, means, counts, voxel, thickness):
+        self.voxel, self.thickness, self.gate = voxel, thickness, 2.5 * thickness
+        self.means, self.counts = means.astype(np.float64), counts.astype(np.float64)
+        index = {tuple(cube): i for i, cube in enumerate(cubes.tolist())}
+        steps = [np.array(step) - 1 for step in np.ndindex(3, 3, 3)]
+        around = [[index.get(tuple((cube + step).tolist())) for step in steps] for cube in cubes]
+        self.around = [np.array([j for j in row if j is not None]) for row in around]
+        self.rank = {i: k for k, i in enumerate(sorted(range(len(cubes)), key=lambda i: tuple(cubes[i])))}
+
+    def weights(self, i):
+        near = self.around[i]
+        d2 = np.sum((self.means[near] - self.means[i]) ** 2, axis=1)
+        return self.counts[near] * np.maximum(1.0 - d2 / (2.0 * self.voxel) ** 2, 0.0) ** 2
+
+    def plane(self, i):
+        """Normal, a point and the typical count of the plane about cell i, None where there is none."""
+        near, weights = self.around[i], self.weights(i)
+        for _ in range(2):
+            points, share = self.means[near], weights / weights.sum()
+            centre = share @ points
+            values, vectors = np.linalg.eigh((points - centre).T @ (share[:, None] * (points - centre)))
+            normal, typical = vectors[:, 0], share @ self.counts[near]
+            keep = np.abs((points - centre) @ normal) <= self.gate
+            if keep.all():
+                break
+            if keep.sum() < 5:
+                return None
+            weights = np.where(keep, weights, 0.0)
+        flat = max(values[0], 0.0) <= self.thickness**2 and values[1] >= max((0.4 * self.voxel) ** 2, 4.0 * values[0])
+        return (normal, centre, typical) if flat and len(near) >= 5 else None
+
+    def move(self, i, planes):
+        """The plane's cell and the height up to it, None where none is near enough."""
+        best = None
+        for j in [i, *self.around[i]]:
+            if planes[j] is None:
+                continue
+            normal, centre, typical = planes[j]
+            height = normal @ (centre - self.means[i])
+            few = self.counts[i] <= 0.0062 * typical + 4.0 * np.sqrt(0.0062 * typical)
+            if abs(height) <= self.gate * (1.6 if few else 1.0):
+                if j == i and best is None:
+                    return i, height
+                best = min(best, (j, height), key=lambda move: abs(move[1])) if best else (j, height)
+        return best
+
+    def bend(self, i, moves, planes):
+        normal, height = planes[moves[i][0]][0], moves[i][1]
+        total = weight = 0.0
+        for j, w in zip(self.around[i], self.weights(i), strict=True):
+            if moves[j] is not None and abs(normal @ (self.means[j] - self.means[i]) - height) <= self.gate:
+                cosine = normal @ planes[moves[j][0]][0]
+                total += w * moves[j][1] * cosine * (abs(cosine) >= 0.8)
+                weight += w * (abs(cosine) >= 0.8)
+        return total / weight if weight else 0.0
+
+    def heavier(self, i, points, normals):
+        def key(j):
+            return self.counts[j], -self.rank[j]
+
+        found = i
+        for j in self.around[i]:
+            if normals[i] is None or normals[j] is None or key(j) <= key(found):
+                continue
+            d = points[j] - points[i]
+            across = d @ normals[i]
+            beside = np.sqrt(max(d @ d - across**2, 0.0))
+            if abs(across) <= 0.3 * self.voxel and beside <= 0.6 * self.voxel and abs(normals[i] @ normals[j]) >= 0.8:
+                found = j
+        return found
+
+    def points(self):
+        every = range(len(self.means))
+        planes = [self.plane(i) for i in every]
+        moves = [self.move(i, planes) for i in every]
+        normals = [None if move is None else planes[move[0]][0] for move in moves]
+        points = self.means.copy()
+        for i in every:
+            if moves[i] is not None:
+                points[i] += (moves[i][1] - self.bend(i, moves, planes)) * normals[i]
+        target = [self.heavier(i, points, normals) for i in every]
+        members = {}
+        for i in every:
+            j = i
+            while target[j] != j:
+                j = target[j]
+            members.setdefault(j if np.linalg.norm(points[j] - points[i]) <= self.voxel else i, []).append(i)
+        return np.array([np.average(points[members[i]], axis=0, weights=self.counts[members[i]]) for i in every if i in members])  # fmt: skip
+
+
+def slow_surfaces(cubes, means, counts, voxel, thickness):
+    return SlowSurfaces(cubes, means, counts, voxel, thickness).points()
