@@ -148,3 +148,50 @@ def test_map_writer_on_a_full_disk_fails_once_and_keeps_the_points(tmp_path, ful
     assert len(failures) == 1 and "submaps.bin" in failures[0]
     assert len(points) == len(at_once(drive(20)))
     writer.release(keep=False)
+
+
+def along_a_wall(count, *, drift, seed=0):
+    """Scans of a wall in y = 0 with noise of 2 cm, from a body whose odometry drifts sideways by ``drift`` each scan."""
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        wall = np.column_stack([rng.uniform(-3.0, 3.0, 3000), rng.normal(0.0, 0.02, 3000), rng.uniform(0, 1, 3000)])
+        seen = (wall - [0.0, -2.0, 0.0]).astype(np.float32)
+        yield make_result(k, T_odom_imu=pose(0.5 * k, -2.0 + drift * k), points_imu=seen, intensity=None)
+
+
+def wall_of(tmp_path, final, *, threaded=False, drift=0.004):
+    writer = filled(tmp_path, along_a_wall(30, drift=drift), threaded=threaded, map_voxel=0.1)
+    points, _ = writer.points(final)
+    writer.release(keep=False)
+    return points
+
+
+@pytest.mark.parametrize("threaded", [False, True])
+def test_map_writer_makes_a_wall_one_sheet_where_the_poses_moved(tmp_path, threaded):
+    """The odometry drifts by 0.12 m; the keyframes end where the wall is in y = 0, a border between cubes."""
+    results = list(along_a_wall(30, drift=0.004))
+    odom = np.stack([result.T_odom_imu for result in results])
+    moved = odom.copy()
+    moved[:, 1, 3] = -2.0
+    stamps = np.array([result.end_ns for result in results])
+    final = FinalPoses(stamps_ns=stamps, T_odom_imu=odom, T_map_imu=moved)
+    points = wall_of(tmp_path, final, threaded=threaded)
+    off = np.abs(points[:, 1])
+    assert np.median(off) < 5e-3 and np.percentile(off, 95) < 0.02
+    assert len(points) < 1.3 * 10 * 10 * (6.0 + 0.5 * 29)
+    assert np.median(np.abs(wall_of(tmp_path, STILL)[:, 1])) > 0.03
+
+
+def test_map_writer_gives_the_same_bits_with_a_second_thread(tmp_path):
+    one, two = (wall_of(tmp_path, STILL, threaded=threaded, drift=0.0) for threaded in (False, True))
+    assert one.tobytes() == two.tobytes() and np.median(np.abs(one[:, 1])) < 2e-3
+
+
+def test_map_writer_without_surfaces_writes_the_cubes_means(tmp_path):
+    results = list(along_a_wall(2, drift=0.0))
+    writer = filled(tmp_path, results, map_voxel=0.1, surface_thickness=0.0, keyframe_distance=9.0)
+    whole = GlobalMap(0.1)
+    for result in results:
+        whole.insert(result.points_imu, None, result.T_odom_imu)
+    assert writer.points(STILL)[0].tobytes() == whole.points().tobytes()
+    writer.release(keep=False)
