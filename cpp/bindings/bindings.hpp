@@ -66,6 +66,7 @@ auto unlocked(Work&& work) {
   return work();
 }
 
+void bind_alignment(nb::module_& m);
 void bind_cloud(nb::module_& m);
 void bind_graph_problem(nb::module_& m);
 void bind_graph_diagnosis(nb::module_& m);

@@ -4,6 +4,7 @@
 
 NB_MODULE(_core, m) {
   m.doc() = "Native kernels of Heliograph; private, wrapped by the Python rooms.";
+  heliograph::bind_alignment(m);
   heliograph::bind_cloud(m);
   heliograph::bind_graph_problem(m);
   heliograph::bind_graph_diagnosis(m);

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from heliograph.config_align import AlignConfig, GlobalAlignConfig
 from heliograph.config_checks import check_choice, check_range
 
 __all__ = [
+    "AlignConfig",
+    "GlobalAlignConfig",
     "CalibrationConfig",
     "CheckConfig",
     "CloudConfig",

@@ -145,3 +145,10 @@ def test_own_sink_obeys_the_law_and_writes_geojson(monkeypatch, tmp_path, short_
     assert _run("own_sink.py", short_recording, tmp_path / "drive.geojson").startswith("ok")
     feature = json.loads((tmp_path / "drive.geojson").read_text())
     assert feature["geometry"]["type"] == "LineString" and len(feature["geometry"]["coordinates"]) >= 2
+
+
+def test_align_clouds_names_the_corridor_blind():
+    text = _run("align_clouds.py")
+    assert "room: converged" in text and "corridor: degenerate" in text
+    (x,) = _numbers(r"not observable: translation along \(([-+.\d]+),", text)
+    assert abs(x) > 0.98

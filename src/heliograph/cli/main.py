@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from heliograph.cli import calibrate, check, demo, evaluate, info, run, simulate, solve
+from heliograph.cli import align, calibrate, check, demo, evaluate, info, run, simulate, solve
 from heliograph.cli.options import PluggableCommand
 from heliograph.errors import HeliographError
 
@@ -35,6 +35,7 @@ app.command("info", cls=PluggableCommand, short_help="What a recording holds and
 app.command("check", short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
 app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
 app.command("calibrate", short_help="Mounting and clock of LiDAR and IMU, or the IMU's noise.")(calibrate.calibrate)
+app.command("align", short_help="Two clouds: pose, overlap, and what was not observable.")(align.align)
 app.command("solve", short_help="A pose graph in, its most likely poses out.")(solve.solve)
 app.command("simulate", short_help="A recording with ground truth.")(simulate.simulate)
 app.command("demo", short_help="Simulate, map, evaluate: see it work.")(demo.demo)

@@ -1,5 +1,13 @@
-"""Registration of a cloud to a map: residuals, robust normal equations, degeneracy."""
+"""Registration: of a cloud to a map, of two clouds to each other, and what they cannot see."""
 
+from heliograph.registration.align import align
+from heliograph.registration.align_result import AlignResult, ResidualDistribution
+from heliograph.registration.blind_directions import (
+    DirectionInformation,
+    InformationAnalysis,
+    analyse_information,
+    analyse_planes,
+)
 from heliograph.registration.degeneracy import Observability, observability
 from heliograph.registration.linearize import (
     BLOCKS,
@@ -9,14 +17,29 @@ from heliograph.registration.linearize import (
     gradient_scatter,
     linearize,
 )
+from heliograph.registration.remapping import remapped_step, soft_step
+from heliograph.registration.surfaces import PreparedCloud, estimate_covariances, estimate_normals, prepare_cloud
 
 __all__ = [
+    "AlignResult",
     "BLOCKS",
+    "DirectionInformation",
+    "InformationAnalysis",
     "MapMounting",
     "MatchSettings",
     "NormalEquations",
     "Observability",
+    "PreparedCloud",
+    "ResidualDistribution",
+    "align",
+    "analyse_information",
+    "analyse_planes",
+    "estimate_covariances",
+    "estimate_normals",
     "gradient_scatter",
     "linearize",
     "observability",
+    "prepare_cloud",
+    "remapped_step",
+    "soft_step",
 ]

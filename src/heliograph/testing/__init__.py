@@ -3,6 +3,7 @@
 Each raises `AssertionError` with the case that breaks the law. Nothing here needs a test framework.
 """
 
+from heliograph.testing.alignments import assert_alignment
 from heliograph.testing.factors import assert_factor
 from heliograph.testing.groups import MAGNITUDES, assert_lie_group
 from heliograph.testing.jacobians import assert_jacobian, numeric_jacobian
@@ -15,6 +16,7 @@ from heliograph.testing.sources import assert_source
 __all__ = [
     "MAGNITUDES",
     "RobustKernel",
+    "assert_alignment",
     "assert_factor",
     "assert_jacobian",
     "assert_lie_group",

@@ -11,7 +11,7 @@ from heliograph.arrays import Array
 from heliograph.lie import so3
 from heliograph.maps import LocalMap
 
-__all__ = ["assert_local_map"]
+__all__ = ["Walls", "assert_local_map"]
 
 
 def assert_local_map(make_map: Callable[[], LocalMap], rng: np.random.Generator) -> None:
@@ -26,7 +26,7 @@ def assert_local_map(make_map: Callable[[], LocalMap], rng: np.random.Generator)
     rng : numpy.random.Generator
         Draws walls, poses and queries.
     """
-    walls = _Walls(rng)
+    walls = Walls(rng)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = so3.exp(rng.normal(size=3)), rng.uniform(-5.0, 5.0, 3)
     cloud_odom = walls.points(rng, 4800, 0.0)
@@ -67,7 +67,7 @@ def _assert_fills_again(
     np.testing.assert_array_equal(found.source, source, err_msg=f"{case} does not fill again")
 
 
-class _Walls:
+class Walls:
     """Three walls that meet nowhere near their middles, in odom: their normals, and the place between them."""
 
     def __init__(self, rng: np.random.Generator) -> None:
@@ -94,7 +94,7 @@ def _assert_nothing_found(local_map: LocalMap, queries: Array, case: str) -> Non
 
 
 def _assert_walls_found(
-    local_map: LocalMap, twin: LocalMap, walls: _Walls, rng: np.random.Generator, offset: float, gate: float
+    local_map: LocalMap, twin: LocalMap, walls: Walls, rng: np.random.Generator, offset: float, gate: float
 ) -> None:
     queries = walls.points(rng, 150, offset)
     normals = np.tile(walls.normals, (150, 1))

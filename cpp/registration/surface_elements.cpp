@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: MIT
+#include "registration/surface_elements.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "registration/moments.hpp"
+#include "util/parallel.hpp"
+#include "util/voxel_key.hpp"
+
+namespace heliograph {
+
+namespace {
+
+constexpr double kMinSpread = 0.15;  // of a cube's edge: smallest standard deviation along a plane in it
+constexpr double kFlatness = 9.0;    // smallest ratio of the variances along and across a surface
+constexpr double kWidth = 0.01;      // smallest ratio of the variances along a plane: less is a line
+constexpr size_t kChunk = 256;
+
+struct Cell {
+  Cube cube;
+  PointMoments moments;  // about the cube's centre
+};
+
+struct Surface {
+  double values[3], axes[9], centre[3];
+  double count;
+  Shape shape;
+};
+
+using Cells = std::vector<Cell>;
+
+double middle(int64_t cube, double edge) { return (static_cast<double>(cube) + 0.5) * edge; }
+
+// One pass over the points. Neighbours in memory are mostly neighbours in space, so the last cube is asked first.
+Cells finest_cells(std::span<const float> points, double edge, FlatIndex* index, size_t* finite) {
+  Cells cells;
+  cells.reserve(points.size() / 12);
+  const double inverse = 1.0 / edge;
+  uint64_t last_key = kNoKey;
+  uint32_t last = 0;
+  for (size_t k = 0; k < points.size(); k += 3) {
+    const double x = static_cast<double>(points[k]), y = static_cast<double>(points[k + 1]), z = static_cast<double>(points[k + 2]);
+    if (!std::isfinite(x + y + z)) continue;
+    ++*finite;
+    const Cube cube{floor_index(x * inverse), floor_index(y * inverse), floor_index(z * inverse)};
+    const uint64_t key = pack(0, cube);
+    if (key != last_key) {
+      const auto [at, is_new] = index->insert(key, static_cast<uint32_t>(cells.size()));
+      if (is_new) cells.push_back({cube, {}});
+      last = at;
+      last_key = key;
+    }
+    cells[last].moments.add(x - middle(cube.x, edge), y - middle(cube.y, edge), z - middle(cube.z, edge));
+  }
+  return cells;
+}
+
+// The cells twice as wide, and for each finer one which holds it.
+Cells parents(const Cells& fine, double edge, FlatIndex* index, std::vector<uint32_t>* parent) {
+  Cells cells;
+  cells.reserve(fine.size() / 3 + 1);
+  parent->resize(fine.size());
+  for (size_t i = 0; i < fine.size(); ++i) {
+    const Cube& child = fine[i].cube;
+    const Cube cube{child.x >> 1, child.y >> 1, child.z >> 1};
+    const auto [at, is_new] = index->insert(pack(0, cube), static_cast<uint32_t>(cells.size()));
+    if (is_new) cells.push_back({cube, {}});
+    (*parent)[i] = at;
+    cells[at].moments.add(fine[i].moments, middle(child.x, edge) - middle(cube.x, 2.0 * edge),
+                          middle(child.y, edge) - middle(cube.y, 2.0 * edge),
+                          middle(child.z, edge) - middle(cube.z, 2.0 * edge));
+  }
+  return cells;
+}
+
+Surface surface_of(const PointMoments& m, const double* origin, double edge, const ElementSettings& s) {
+  Surface out{{0, 0, 0}, {0, 0, 1, 0, 1, 0, 1, 0, 0}, {0, 0, 0}, m.count, Shape::scatter};
+  for (int i = 0; i < 3; ++i) out.centre[i] = origin[i] + m.sum[i] / m.count;
+  if (m.count < 3.0) return out;
+  double c[6];
+  m.covariance(c);
+  symmetric_axes(c, out.values, out.axes);
+  if (m.count < static_cast<double>(s.min_support)) return out;
+  const double thickness = s.max_thickness * s.max_thickness, spread = kMinSpread * kMinSpread * edge * edge;
+  const double* v = out.values;
+  if (v[0] <= thickness && v[1] >= spread && v[1] >= kFlatness * v[0] && v[1] >= kWidth * v[2])
+    out.shape = Shape::plane;
+  else if (v[1] <= thickness && v[2] >= spread && v[2] >= kFlatness * v[1])
+    out.shape = Shape::line;
+  return out;
+}
+
+SurfaceElement element(const double* mean, double count, const Surface& surface) {
+  SurfaceElement e{};
+  for (int i = 0; i < 3; ++i) {
+    e.mean[i] = static_cast<float>(mean[i]);
+    e.centre[i] = static_cast<float>(surface.centre[i]);
+    e.values[i] = static_cast<float>(surface.values[i]);
+  }
+  for (int i = 0; i < 9; ++i) e.axes[i] = static_cast<float>(surface.axes[i]);
+  e.count = static_cast<float>(count);
+  e.support = static_cast<float>(surface.count);
+  e.shape = surface.shape;
+  return e;
+}
+
+// Whether a place belongs to a surface: it lies as near to it as the points that made it.
+bool belongs(const double* place, const Surface& surface) {
+  const double* n = surface.axes;
+  double off = 0.0;
+  for (int i = 0; i < 3; ++i) off += n[i] * (place[i] - surface.centre[i]);
+  return off * off <= 9.0 * surface.values[0] + 1e-6;
+}
+
+}  // namespace
+
+SurfaceCloud::SurfaceCloud(std::span<const float> points, const ElementSettings& settings, int threads) {
+  if (settings.voxel > 0.0)
+    make_cubes(points, settings);
+  else
+    make_points(points, settings, threads);
+}
+
+void SurfaceCloud::make_cubes(std::span<const float> points, const ElementSettings& settings) {
+  const auto count = static_cast<size_t>(settings.levels);
+  std::vector<Cells> cells(count);
+  std::vector<std::vector<uint32_t>> parent(count);
+  std::vector<std::vector<Surface>> surfaces(count);
+  for (size_t l = 0; l < count; ++l) {
+    const double edge = settings.voxel * static_cast<double>(uint64_t{1} << l);
+    levels_.push_back({edge, {}, FlatIndex(l == 0 ? 14 : 10), nullptr});
+    cells[l] = l == 0 ? finest_cells(points, edge, &levels_[0].index, &finite_)
+                      : parents(cells[l - 1], edge / 2.0, &levels_[l].index, &parent[l - 1]);
+    surfaces[l].reserve(cells[l].size());
+    for (const Cell& cell : cells[l]) {
+      const double origin[3] = {middle(cell.cube.x, edge), middle(cell.cube.y, edge), middle(cell.cube.z, edge)};
+      surfaces[l].push_back(surface_of(cell.moments, origin, edge, settings));
+    }
+  }
+  for (size_t l = 0; l < count; ++l) {
+    levels_[l].elements.reserve(cells[l].size());
+    for (size_t i = 0; i < cells[l].size(); ++i) {
+      const Surface& own = surfaces[l][i];
+      const Surface* best = &own;
+      size_t at = i;
+      for (size_t up = l; best->shape != Shape::plane && up + 1 < count; ++up) {
+        at = parent[up][at];
+        const Surface& wider = surfaces[up + 1][at];
+        if (wider.shape == Shape::plane && belongs(own.centre, wider)) best = &wider;
+        if (wider.shape == Shape::line && best->shape == Shape::scatter) best = &wider;
+      }
+      levels_[l].elements.push_back(element(own.centre, cells[l][i].moments.count, *best));
+    }
+  }
+}
+
+void SurfaceCloud::make_points(std::span<const float> points, const ElementSettings& settings, int threads) {
+  levels_.push_back({0.0, {}, FlatIndex(4), std::make_unique<KdTree>(points)});
+  for (uint32_t k = 0; 3 * size_t{k} < points.size(); ++k)
+    if (std::isfinite(points[3 * k] + points[3 * k + 1] + points[3 * k + 2])) source_.push_back(k);
+  finite_ = source_.size();
+  auto& elements = levels_[0].elements;
+  elements.resize(finite_);
+  const KdTree& tree = *levels_[0].tree;
+  const auto wanted = static_cast<size_t>(settings.min_support);
+  parallel_chunks((finite_ + kChunk - 1) / kChunk, threads, [&](size_t chunk) {
+    std::vector<Neighbour> near(wanted);
+    for (size_t i = chunk * kChunk; i < std::min(finite_, (chunk + 1) * kChunk); ++i) {
+      const float* p = points.data() + 3 * size_t{source_[i]};
+      const size_t found = tree.nearest(p, wanted, std::numeric_limits<float>::max(), near.data());
+      PointMoments m;
+      for (size_t k = 0; k < found; ++k) {
+        const float* q = points.data() + 3 * size_t{near[k].index};
+        m.add(static_cast<double>(q[0]) - static_cast<double>(p[0]), static_cast<double>(q[1]) - static_cast<double>(p[1]),
+              static_cast<double>(q[2]) - static_cast<double>(p[2]));
+      }
+      const double origin[3] = {static_cast<double>(p[0]), static_cast<double>(p[1]), static_cast<double>(p[2])};
+      ElementSettings some = settings;
+      some.min_support = 3;
+      elements[i] = element(origin, 1.0, surface_of(m, origin, 0.0, some));
+    }
+  });
+  // The tree must answer with elements, not points: where some were not finite the two are numbered differently.
+  if (3 * finite_ != points.size()) {
+    std::vector<float> kept(3 * finite_);
+    for (size_t i = 0; i < finite_; ++i) std::copy_n(points.data() + 3 * size_t{source_[i]}, 3, kept.data() + 3 * i);
+    levels_[0].tree = std::make_unique<KdTree>(kept);
+  }
+}
+
+const KdTree& SurfaceCloud::tree(size_t at) {
+  ElementLevel& level = levels_[at];
+  if (level.tree == nullptr) {
+    std::vector<float> means(3 * level.elements.size());
+    for (size_t i = 0; i < level.elements.size(); ++i) std::copy_n(level.elements[i].mean, 3, means.data() + 3 * i);
+    level.tree = std::make_unique<KdTree>(means);
+  }
+  return *level.tree;
+}
+
+}  // namespace heliograph

@@ -1,0 +1,190 @@
+"""From coarse to fine: Gauss-Newton on each level of two prepared clouds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph import _core
+from heliograph.config import AlignConfig
+from heliograph.lie import se3
+from heliograph.registration.remapping import seen_step
+from heliograph.registration.surfaces import PreparedCloud
+
+__all__ = ["METHODS", "LevelFit", "fit_levels", "level_matches", "refine"]
+
+Array = NDArray[np.float64]
+
+METHODS = {"point-to-point": 0, "point-to-plane": 1, "point-to-edge": 2, "gicp": 3, "vgicp": 3}
+"""Residuals, by the native kernel's numbers."""
+
+_KEEP = 0.1  # of a cube's edge: a smaller step leaves the partners as they are
+_COARSE = 0.02  # of a cube's edge: a smaller step ends a coarse level
+_LEVER = 10.0  # distance at which a rotation counts as a displacement [m]
+_LOOSE = 1e-9  # of the information's diagonal, added to it: a step exists even where nothing is seen
+_MIN_KERNEL = 3.0  # of the residuals' spread, the narrowest kernel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelFit:
+    """Where the iterations ended.
+
+    Parameters
+    ----------
+    T : (4, 4) float64
+        Source to target.
+    information : (6, 6) float64
+        Of the last normal equations.
+    reduced_chi_square : float
+        Weighted mean square of the whitened residuals.
+    kernel : float
+        The kernel's scale at the end [m].
+    matches, iterations : int
+    settled : bool
+        Whether the last step was below the tolerance.
+    """
+
+    T: Array
+    information: Array
+    reduced_chi_square: float
+    kernel: float
+    matches: int
+    iterations: int
+    settled: bool
+
+
+def fit_levels(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    start: Array,
+    method: str,
+    config: AlignConfig,
+    threads: int,
+    *,
+    levels: range | None = None,
+) -> LevelFit:
+    """Iterate on each level, the widest first, and with the chosen residual on the finest.
+
+    The coarse levels use distributions whatever the method: they have the widest basin, and only lead to it.
+
+    Parameters
+    ----------
+    target, source : PreparedCloud
+    start : (4, 4) float64
+        Source to target.
+    method : str
+        Key of `METHODS`.
+    config : AlignConfig
+    threads : int
+    levels : range, optional
+        Which, in order; all if not given.
+    """
+    T, spent, fit = np.ascontiguousarray(start), 0, None
+    for level in levels if levels is not None else range(target.native.levels() - 1, -1, -1):
+        fit = _fit(target, source, T, method if level == 0 else "gicp", level, config, threads, None)
+        T, spent = fit.T, spent + fit.iterations
+    assert fit is not None
+    return _with_iterations(fit, spent)
+
+
+def refine(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    fit: LevelFit,
+    method: str,
+    config: AlignConfig,
+    threads: int,
+    blind: Array,
+) -> LevelFit:
+    """Iterate on the finest level from ``fit.T`` without moving along ``blind`` (6, K)."""
+    again = _fit(target, source, fit.T, method, 0, config, threads, blind)
+    return _with_iterations(again, fit.iterations + again.iterations)
+
+
+def _with_iterations(fit: LevelFit, iterations: int) -> LevelFit:
+    return LevelFit(
+        T=fit.T,
+        information=fit.information,
+        reduced_chi_square=fit.reduced_chi_square,
+        kernel=fit.kernel,
+        matches=fit.matches,
+        iterations=iterations,
+        settled=fit.settled,
+    )
+
+
+def _fit(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    T: Array,
+    method: str,
+    level: int,
+    config: AlignConfig,
+    threads: int,
+    blind: Array | None,
+) -> LevelFit:
+    matcher = _core.Matcher(target.native, level, source.native, level)
+    gate, kernel, cosine = scales(config, level)
+    edge = config.voxel * 2.0**level if config.voxel > 0.0 else gate
+    tolerance = config.tolerance if level == 0 else _COARSE * edge
+    turn = np.radians(config.tolerance_deg) if level == 0 else tolerance / _LEVER
+    keep, settled, H, chi, matches, k = False, False, np.zeros((6, 6)), float("nan"), 0, 0
+    for k in range(1, config.iterations + 1):
+        sums = matcher.sums(T, METHODS[method], method == "vgicp", gate, kernel, config.sigma, cosine, keep, threads)
+        H, g, _, weight, square, whitened, matches = sums
+        if matches < 6 or weight <= 0.0:
+            break
+        chi = whitened / weight
+        d = _step(H, g, blind)
+        T = np.ascontiguousarray(se3.retract(T, d))
+        moved = float(np.abs(d[3:]).max()) + _LEVER * float(np.abs(d[:3]).max())
+        # Partners found at nearly this pose are those of this pose: the search is most of an iteration's time.
+        keep = moved < _KEEP * edge and config.voxel > 0.0 and not keep
+        if level == 0 and k == 2 and kernel > 0.0:
+            kernel = float(np.clip(_MIN_KERNEL * np.sqrt(square / weight), 4.0 * config.sigma, kernel))
+        settled = bool(np.abs(d[3:]).max() < tolerance and np.abs(d[:3]).max() < turn)
+        if settled:
+            break
+    return LevelFit(
+        T=T,
+        information=np.asarray(H),
+        reduced_chi_square=chi,
+        kernel=kernel,
+        matches=matches,
+        iterations=k,
+        settled=settled,
+    )
+
+
+def _step(H: Array, g: Array, blind: Array | None) -> Array:
+    held = H + np.diag(_LOOSE * np.diag(H) + _LOOSE)
+    return seen_step(held, g, blind if blind is not None else np.zeros((6, 0)))
+
+
+def scales(config: AlignConfig, level: int) -> tuple[float, float, float]:
+    """Return gate [m], kernel [m] and least cosine between normals of a level."""
+    edge = config.voxel * 2.0**level if config.voxel > 0.0 else 1.0
+    return config.gate * edge, config.kernel * edge, config.min_cosine if level < 2 else 0.0
+
+
+def level_matches(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    T: Array,
+    method: str,
+    level: int,
+    kernel: float,
+    config: AlignConfig,
+    threads: int,
+) -> Array:
+    """Return one row a match: point 3, normal 3 (source frame), residual, distance, weight, variance, tilt, elements 2.
+
+    ``tilt`` is the variance of the normal's direction [rad^2]; the normal is zero where the target has no plane.
+    """
+    matcher = _core.Matcher(target.native, level, source.native, level)
+    gate, _, cosine = scales(config, level)
+    return np.asarray(
+        matcher.matches(T, METHODS[method], method == "vgicp", gate, kernel, config.sigma, cosine, threads)
+    )
