@@ -12,7 +12,7 @@ def patch(rng, centre, u, v, count):
 
 
 def corner_room(rng, density=60, noise=0.01):
-    """A room of 8 m by 6 m by 3 m with a bay, a pillar and a table: every direction is seen, and no turn looks alike."""
+    """A room of 8 m by 6 m by 3 m with a bay, a pillar and a table: all is seen, and no turn looks alike."""
     parts = [
         ((0, 0, -1.5), (4, 0, 0), (0, 3, 0), 24),
         ((0, 0, 1.5), (4, 0, 0), (0, 3, 0), 24),

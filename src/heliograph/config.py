@@ -9,11 +9,11 @@ from heliograph.config_checks import check_choice, check_range
 
 __all__ = [
     "AlignConfig",
-    "GlobalAlignConfig",
     "CalibrationConfig",
     "CheckConfig",
     "CloudConfig",
     "FilterConfig",
+    "GlobalAlignConfig",
     "ImuConfig",
     "InputConfig",
     "MapConfig",

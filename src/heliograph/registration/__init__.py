@@ -21,8 +21,8 @@ from heliograph.registration.remapping import remapped_step, soft_step
 from heliograph.registration.surfaces import PreparedCloud, estimate_covariances, estimate_normals, prepare_cloud
 
 __all__ = [
-    "AlignResult",
     "BLOCKS",
+    "AlignResult",
     "DirectionInformation",
     "InformationAnalysis",
     "MapMounting",

@@ -44,6 +44,7 @@ def test_align_reads_every_format(pair, capsys, a, b):
 
 def test_align_says_it_in_words_and_draws_it(pair, capsys, tmp_path):
     folder, _ = pair
+    picture = tmp_path / "p.png"
     code, out, err = _run(
         capsys, folder / "a.ply", folder / "b.pcd", "--method", "vgicp", "--picture", tmp_path / "p.png"
     )
