@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT
 // Registration of two clouds: prepared clouds and what is asked of two of them.
 #include "bindings/bindings.hpp"
-#include "maps/kd_tree.hpp"
 #include "registration/features.hpp"
 #include "registration/icp.hpp"
 
@@ -88,23 +87,6 @@ Tuple elements(const SurfaceCloud& cloud, size_t at) {
                               to_numpy<uint8_t>(std::move(shape), {n})));
 }
 
-Tuple nearest(const KdTree& tree, const Points& queries, size_t count, double max_distance) {
-  const size_t n = queries.shape(0);
-  std::vector<float> square(n * count, std::numeric_limits<float>::infinity());
-  std::vector<int32_t> index(n * count, -1);
-  unlocked([&] {
-    std::vector<Neighbour> found(count);
-    for (size_t i = 0; i < n; ++i) {
-      const size_t some = tree.nearest(queries.data() + 3 * i, count, static_cast<float>(max_distance * max_distance), found.data());
-      for (size_t k = 0; k < some; ++k) {
-        square[i * count + k] = found[k].square;
-        index[i * count + k] = static_cast<int32_t>(found[k].index);
-      }
-    }
-  });
-  return Tuple(nb::make_tuple(to_numpy<float>(std::move(square), {n, count}), to_numpy<int32_t>(std::move(index), {n, count})));
-}
-
 Tuple sets_of(const Points& p, const Points& q, const Points& normal_p, const Points& normal_q, double tolerance,
                  double max_angle, size_t seeds, int threads) {
   const size_t n = p.shape(0);
@@ -133,12 +115,6 @@ Tuple sets_of(const Points& p, const Points& q, const Points& normal_p, const Po
 
 void bind_alignment(nb::module_& m) {
   using namespace nb::literals;
-  nb::class_<KdTree>(m, "KdTree")
-      .def("__init__", [](KdTree* self, const Points& points) { unlocked([&] { new (self) KdTree(span_of(points)); }); },
-           "points"_a.noconvert())
-      .def("__len__", &KdTree::size)
-      .def("bytes", &KdTree::bytes)
-      .def("nearest", &nearest, "queries"_a.noconvert(), "count"_a, "max_distance"_a);
   nb::class_<SurfaceCloud>(m, "SurfaceCloud")
       .def("__init__",
            [](SurfaceCloud* self, const Points& points, double voxel, int levels, double max_thickness, int min_support,

@@ -76,6 +76,7 @@ void bind_graph_factors(nb::module_& m);
 void bind_graph_tree(nb::module_& m);
 void bind_imu(nb::module_& m);
 void bind_io(nb::module_& m);
+void bind_kd_trees(nb::module_& m);
 void bind_lie(nb::module_& m);
 void bind_maps(nb::module_& m);
 void bind_registration(nb::module_& m);

@@ -15,6 +15,7 @@ NB_MODULE(_core, m) {
   heliograph::bind_graph_tree(m);
   heliograph::bind_imu(m);
   heliograph::bind_io(m);
+  heliograph::bind_kd_trees(m);
   heliograph::bind_lie(m);
   heliograph::bind_maps(m);
   heliograph::bind_registration(m);

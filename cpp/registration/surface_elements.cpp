@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "registration/moments.hpp"
+#include "util/moments.hpp"
 #include "util/parallel.hpp"
 #include "util/voxel_key.hpp"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from heliograph.config_align import AlignConfig, GlobalAlignConfig
 from heliograph.config_checks import check_choice, check_range
+from heliograph.config_registration import AlignConfig, GlobalAlignConfig, KdTreeMapConfig
 
 __all__ = [
     "AlignConfig",
@@ -16,6 +16,7 @@ __all__ = [
     "GlobalAlignConfig",
     "ImuConfig",
     "InputConfig",
+    "KdTreeMapConfig",
     "MapConfig",
     "OutputConfig",
     "RunConfig",

@@ -44,7 +44,7 @@ class AlignResult:
     status : str
         ``"converged"``; ``"not converged"``: the last step was larger than the tolerance; ``"degenerate"``: converged,
         but the directions in ``observability.blind`` keep their start; ``"no overlap"``: there is no answer;
-        ``"refused"``: a global alignment found no pose that its evidence supports.
+        ``"refused"``: a global search found no pose that its evidence supports; `start` is the best it found.
     method : str
         The residual.
     T_target_source : (4, 4) float64 or None

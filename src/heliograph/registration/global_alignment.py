@@ -126,7 +126,7 @@ def truncated_pose(p: NDArray[np.float32], q: NDArray[np.float32], noise: float)
         high, low = (mu + 1.0) / mu * c2, mu / (mu + 1.0) * c2
         between = np.sqrt(c2 * mu * (mu + 1.0) / np.maximum(square, 1e-18)) - mu
         w = np.where(square >= high, 0.0, np.where(square <= low, 1.0, between))
-        if w.sum() < 3.0 or np.all((w == 0.0) | (w == 1.0)):
+        if np.count_nonzero(w) < 3 or np.all((w == 0.0) | (w == 1.0)):
             break
         T = _weighted_pose(P, Q, w)
         square = ((se3.act(T, P) - Q) ** 2).sum(axis=1)

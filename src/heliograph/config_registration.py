@@ -1,4 +1,4 @@
-"""Defaults of the registration of two clouds."""
+"""Defaults of the registration of two clouds, and of the local map of points."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from heliograph.config_checks import check_range
 
-__all__ = ["AlignConfig", "GlobalAlignConfig"]
+__all__ = ["AlignConfig", "GlobalAlignConfig", "KdTreeMapConfig"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,9 +136,9 @@ class GlobalAlignConfig:
     same_deg: float = 5.0
     reach: float = 0.5
     kernel: float = 0.1
-    min_overlap: float = 0.25
-    min_fit: float = 0.6
-    min_lead: float = 1.1
+    min_overlap: float = 0.36
+    min_fit: float = 0.4
+    min_lead: float = 1.05
 
     def __post_init__(self) -> None:
         check_range(self, "radius", "tolerance", "max_angle_deg", "same", "same_deg", "reach", "kernel", above=0.0)
@@ -146,3 +146,45 @@ class GlobalAlignConfig:
         check_range(self, "keypoints", low=3)
         check_range(self, "neighbours", "seeds", "hypotheses", "refined", "min_lead", low=1)
         check_range(self, "min_overlap", "min_fit", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KdTreeMapConfig:
+    """A local map of points in an incremental k-d tree.
+
+    Parameters
+    ----------
+    spacing : float
+        Edge of the cubes of which each keeps one point [m]; 0 keeps all.
+    balance : float
+        Largest share of a subtree's points on one side.
+    neighbours : int
+        Nearest points that make a plane, at most 32.
+    reach : float
+        Largest distance to the farthest of them [m].
+    max_thickness, min_spread : float
+        Largest standard deviation across a plane, smallest along it [m].
+    cube : float
+        Edge of the cubes by which an insertion is judged new [m].
+    radius : float
+        Points farther from the centre are forgotten [m].
+    max_points : int
+        Most that are kept.
+    """
+
+    spacing: float = 0.1
+    balance: float = 0.7
+    neighbours: int = 8
+    reach: float = 1.0
+    max_thickness: float = 0.05
+    min_spread: float = 0.03
+    cube: float = 1.0
+    radius: float = 100.0
+    max_points: int = 2_000_000
+
+    def __post_init__(self) -> None:
+        check_range(self, "spacing", low=0.0)
+        check_range(self, "balance", above=0.5, below=1.0)
+        check_range(self, "neighbours", low=3, high=32)
+        check_range(self, "reach", "max_thickness", "min_spread", "cube", "radius", above=0.0)
+        check_range(self, "max_points", low=1000)

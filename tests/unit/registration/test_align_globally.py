@@ -1,0 +1,104 @@
+"""Alignment without a start: poses found from features, and refusals where the evidence does not suffice."""
+
+import itertools
+
+import numpy as np
+import pytest
+from tests import scenes
+from tests.reference.features import point_features
+
+from heliograph import _core
+from heliograph.errors import ConfigError
+from heliograph.lie import se3, so3
+from heliograph.registration import align
+from heliograph.registration.global_alignment import truncated_pose
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_global_alignment_finds_any_pose(seed):
+    rng = np.random.default_rng(seed)
+    truth = scenes.random_motion(rng, 3.0, rng.uniform(0.0, np.pi))
+    result = align(scenes.corner_room(rng), scenes.moved(scenes.corner_room(rng), truth), start="global")
+    assert result.status == "converged", result.reason
+    assert np.linalg.norm(se3.log(se3.inverse(truth) @ result.T_target_source)) < 5e-3
+    assert result.seconds["start"] > 0.0
+
+
+def test_global_alignment_refuses_what_looks_the_same_turned_round():
+    rng = np.random.default_rng(0)
+    walls = [((x, 0, 0), (0, 3, 0), (0, 0, 1.5)) for x in (-4, 4)] + [
+        ((0, y, 0), (4, 0, 0), (0, 0, 1.5)) for y in (-3, 3)
+    ]
+    clouds = [np.concatenate([scenes.patch(rng, *w, 1500) for w in walls]).astype(np.float32) for _ in range(2)]
+    result = align(clouds[0], scenes.moved(clouds[1], scenes.random_motion(rng, 1.0, 2.0)), start="global")
+    assert result.status == "refused" and result.T_target_source is None and result.reason
+
+
+def test_global_alignment_refuses_another_place():
+    rng = np.random.default_rng(0)
+    ball = np.concatenate([scenes.sphere(rng, 4000, 0.01, centre=(2, 1, 0), radius=r) for r in (1.0, 4.0)])
+    result = align(scenes.corner_room(rng), ball.astype(np.float32), start="global")
+    assert result.status == "refused" and result.T_target_source is None
+
+
+def test_start_is_a_pose_or_global():
+    cloud = scenes.corner_room(np.random.default_rng(0))
+    with pytest.raises(ConfigError, match="neither a pose nor 'global'"):
+        align(cloud, cloud, start="anywhere")
+
+
+def test_global_alignment_does_not_depend_on_threads():
+    rng = np.random.default_rng(0)
+    target, source = scenes.corner_room(rng), scenes.moved(scenes.corner_room(rng), scenes.random_motion(rng, 2.0, 2.0))
+    one, many = (align(target, source, start="global", threads=t) for t in (1, 4))
+    assert one.T_target_source.tobytes() == many.T_target_source.tobytes()
+
+
+def test_features_agree_with_the_twin():
+    cloud = scenes.corner_room(np.random.default_rng(0), 20)
+    native = _core.SurfaceCloud(cloud, 0.6, 2, 0.05, 6, 1)
+    mean, _, axes, *_ = native.elements(0)
+    found = np.asarray(_core.point_features(native, 0, 1.5, 3))
+    wanted = point_features(np.asarray(mean), np.asarray(axes)[:, 0], 1.5)
+    # A share on the edge between two bins may fall into either.
+    assert np.quantile(np.abs(found - wanted).max(axis=1), 0.95) < 1.0
+
+
+def test_nearest_features_agree_with_numpy():
+    rng = np.random.default_rng(0)
+    a, b = (rng.normal(size=(n, 33)).astype(np.float32) for n in (50, 70))
+    found = np.asarray(_core.nearest_features(a, b, 4, 2))
+    distance = ((a[:, None].astype(np.float64) - b[None]) ** 2).sum(axis=2)
+    np.testing.assert_array_equal(found, np.argsort(distance, axis=1)[:, :4])
+    assert (np.asarray(_core.nearest_features(a, b[:2], 4, 1))[:, 2:] == -1).all()
+
+
+def test_consistent_sets_are_cliques_and_hold_the_truth():
+    rng = np.random.default_rng(1)
+    T = scenes.random_motion(rng, 3.0, 1.0)
+    p = rng.uniform(-10, 10, (120, 3))
+    n = rng.normal(size=(120, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    q, m = se3.act(T, p), n @ T[:3, :3].T
+    wrong = rng.permutation(120)[:80]
+    q[wrong], m[wrong] = rng.uniform(-10, 10, (80, 3)), np.roll(m[wrong], 1, axis=0)
+    p, q, n, m = (np.ascontiguousarray(x, dtype=np.float32) for x in (p, q, n, m))
+    sets = _core.consistent_sets(p, q, n, m, 0.1, 0.1, 10, 2)
+    assert set(np.delete(np.arange(120), wrong)) <= set(sets[0].tolist())
+    for i, j in itertools.combinations(sets[0].tolist(), 2):
+        assert abs(np.linalg.norm(p[i] - p[j]) - np.linalg.norm(q[i] - q[j])) <= 0.1 + 1e-5
+    assert [len(s) for s in sets] == sorted((len(s) for s in sets), reverse=True)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+def test_truncated_pose_leaves_outliers_out(share):
+    rng = np.random.default_rng(2)
+    T = scenes.random_motion(rng, 5.0, 2.0)
+    p = rng.uniform(-5, 5, (100, 3))
+    q = se3.act(T, p) + 0.01 * rng.normal(size=p.shape)
+    count = int(100 * share)
+    q[:count] = rng.uniform(-5, 5, (count, 3))
+    found, inliers = truncated_pose(p.astype(np.float32), q.astype(np.float32), 0.1)
+    assert np.linalg.norm(se3.log(se3.inverse(T) @ found)) < 0.02
+    assert inliers[count:].all() and inliers[:count].sum() <= 2
+    assert np.allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3)) and so3.log(found[:3, :3]).shape == (3,)
