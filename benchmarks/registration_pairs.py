@@ -13,13 +13,14 @@ from scipy.spatial import cKDTree
 from heliograph.lie import se3, so3
 from heliograph.sim.places import PLACES
 from heliograph.sim.sensors import LidarModel, measure_ranges
-from heliograph.sim.world import World
+from heliograph.sim.world import SimulatedWorld
 
-__all__ = ["Pair", "draw_pairs", "write_pairs"]
+__all__ = ["Pair", "draw_pairs", "pose_error", "write_pairs"]
 
 _PLACES = {"warehouse": 14.0, "room": 4.0, "street": 25.0, "aisles": 10.0}
 _BEAMS = ((32, 1024, 16.0), (64, 1024, 22.5), (128, 1024, 22.5))
 _REACH = 0.5
+_FEWEST = 5000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +36,9 @@ class Pair:
     overlap: float
 
 
-def _scan(world: World, T: NDArray[np.float64], model: LidarModel, rng: np.random.Generator) -> NDArray[np.float32]:
+def _scan(
+    world: SimulatedWorld, T: NDArray[np.float64], model: LidarModel, rng: np.random.Generator
+) -> NDArray[np.float32]:
     rays = model.directions()
     poses = np.repeat(T[None], rays.shape[1], axis=0)
     hit = world.cast(rays, poses, min_range=model.min_range, max_range=model.max_range, threads=1)
@@ -72,6 +75,8 @@ def draw_pairs(count: int, seed: int = 0, *, max_offset: float = 1.0, max_turn_d
             b = (a + int(rng.uniform(0.0, _PLACES[name]) / spacing)) % len(way)
             Ta, Tb = _pose(way[a], rng), _pose(way[b], rng)
             target, source = _scan(place.world, Ta, model, rng), _scan(place.world, Tb, model, rng)
+            if min(len(target), len(source)) < _FEWEST:  # the course leaves the street there
+                continue
             truth = np.linalg.inv(Ta) @ Tb
             some = source[:: max(1, len(source) // 4000)] @ truth[:3, :3].T + truth[:3, 3]
             distance, _ = cKDTree(target[::2]).query(some, distance_upper_bound=_REACH)

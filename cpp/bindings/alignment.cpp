@@ -8,10 +8,11 @@ namespace heliograph {
 
 namespace {
 
-IcpSettings icp_settings(int residual, bool by_cube, double gate, double kernel, double sigma, double min_cosine) {
+IcpSettings icp_settings(int residual, bool by_cube, double gate, double kernel, double sigma, double min_cosine,
+                         bool one_sided) {
   if (residual < 0 || residual > 3) throw std::invalid_argument("residual must be 0 to 3");
   if (!(gate > 0.0) || !(sigma > 0.0)) throw std::invalid_argument("gate and sigma must be positive");
-  return {static_cast<Residual>(residual), by_cube, gate, kernel, sigma, min_cosine};
+  return {static_cast<Residual>(residual), by_cube, gate, kernel, sigma, min_cosine, one_sided};
 }
 
 void check_level(const SurfaceCloud& cloud, size_t level) {
@@ -30,8 +31,8 @@ class Matcher {
   }
 
   Tuple sums(const Matrix4& T, int residual, bool by_cube, double gate, double kernel, double sigma, double min_cosine,
-             bool keep, int threads) {
-    const IcpSettings settings = icp_settings(residual, by_cube, gate, kernel, sigma, min_cosine);
+             bool one_sided, bool keep, int threads) {
+    const IcpSettings settings = icp_settings(residual, by_cube, gate, kernel, sigma, min_cosine, one_sided);
     if (keep && hints_.empty()) throw std::invalid_argument("there are no partners to keep yet");
     const IcpSums s = unlocked([&] {
       if (!by_cube) target_.tree(target_level_);
@@ -43,11 +44,11 @@ class Matcher {
   }
 
   auto matches(const Matrix4& T, int residual, bool by_cube, double gate, double kernel, double sigma, double min_cosine,
-               int threads) {
-    const IcpSettings settings = icp_settings(residual, by_cube, gate, kernel, sigma, min_cosine);
+               bool one_sided, int threads) {
+    const IcpSettings settings = icp_settings(residual, by_cube, gate, kernel, sigma, min_cosine, one_sided);
     const std::vector<IcpMatch> m = unlocked([&] {
       if (!by_cube) target_.tree(target_level_);
-      return icp_matches(target_, target_level_, source_, source_level_, T.data(), settings, threads);
+      return icp_matches(target_, target_level_, source_, source_level_, T.data(), settings, hints_, threads);
     });
     std::vector<double> rows;
     rows.reserve(kColumns * m.size());
@@ -126,6 +127,15 @@ void bind_alignment(nb::module_& m) {
       .def("levels", &SurfaceCloud::levels)
       .def("finite", &SurfaceCloud::finite)
       .def("size", [](const SurfaceCloud& cloud, size_t level) { check_level(cloud, level); return cloud.level(level).elements.size(); }, "level"_a)
+      .def("extent", [](const SurfaceCloud& cloud, size_t level) { check_level(cloud, level); return cloud.extent(level); }, "level"_a)
+      .def("spread",
+           [](const SurfaceCloud& cloud, size_t level) {
+             check_level(cloud, level);
+             std::vector<double> sigmas(3);
+             cloud.spread(level, sigmas.data());
+             return to_numpy<double>(std::move(sigmas), {3});
+           },
+           "level"_a)
       .def("source", [](const SurfaceCloud& cloud) {
              std::vector<uint32_t> index = cloud.source();
              const size_t n = index.size();
@@ -163,9 +173,9 @@ void bind_alignment(nb::module_& m) {
       .def(nb::init<SurfaceCloud&, size_t, const SurfaceCloud&, size_t>(), "target"_a, "target_level"_a, "source"_a,
            "source_level"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 4>())
       .def("sums", &Matcher::sums, "T"_a.noconvert(), "residual"_a, "by_cube"_a, "gate"_a, "kernel"_a, "sigma"_a,
-           "min_cosine"_a, "keep"_a, "threads"_a)
+           "min_cosine"_a, "one_sided"_a, "keep"_a, "threads"_a)
       .def("matches", &Matcher::matches, "T"_a.noconvert(), "residual"_a, "by_cube"_a, "gate"_a, "kernel"_a, "sigma"_a,
-           "min_cosine"_a, "threads"_a);
+           "min_cosine"_a, "one_sided"_a, "threads"_a);
 }
 
 }  // namespace heliograph

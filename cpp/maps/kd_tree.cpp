@@ -8,8 +8,6 @@ namespace heliograph {
 
 namespace {
 
-constexpr uint32_t kLeaf = 8;
-
 float square_distance(const float* a, const float* b) {
   const float x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
   return x * x + y * y + z * z;
@@ -25,15 +23,19 @@ KdTree::KdTree(std::span<const float> points) : given_(points.begin(), points.en
   if (order_.empty()) return;
   nodes_.reserve(2 * order_.size() / kLeaf + 2);
   build(0, static_cast<uint32_t>(order_.size()), points);
-  leaf_points_.resize(3 * order_.size());
-  for (size_t i = 0; i < order_.size(); ++i)
-    std::copy_n(points.data() + 3 * size_t{order_[i]}, 3, leaf_points_.data() + 3 * i);
 }
 
 uint32_t KdTree::build(uint32_t begin, uint32_t end, std::span<const float> points) {
   const auto at = static_cast<uint32_t>(nodes_.size());
-  nodes_.push_back({0.0F, begin, end, 0, 0});
-  if (end - begin <= kLeaf) return at;
+  nodes_.push_back({0.0F, begin, end, 0, 0, 0});
+  if (end - begin <= kLeaf) {
+    nodes_[at].leaf = static_cast<uint32_t>(leaves_.size());
+    leaves_.resize(leaves_.size() + 3 * kLeaf, std::numeric_limits<float>::infinity());
+    float* leaf = leaves_.data() + nodes_[at].leaf;
+    for (uint32_t i = begin; i < end; ++i)
+      for (uint32_t k = 0; k < 3; ++k) leaf[k * kLeaf + i - begin] = points[3 * size_t{order_[i]} + k];
+    return at;
+  }
   float low[3], high[3];
   std::fill_n(low, 3, std::numeric_limits<float>::max());
   std::fill_n(high, 3, std::numeric_limits<float>::lowest());
@@ -81,11 +83,14 @@ struct KdSearch {
   void visit(uint32_t node, float* aside, float square) {
     const KdTree::Node& n = tree.nodes_[node];
     if (n.right == 0) {
-      const float* p = tree.leaf_points_.data() + 3 * size_t{n.begin};
-      for (uint32_t i = n.begin; i < n.end; ++i, p += 3) {
-        const float d = square_distance(p, query);
-        if (d <= worst.square) offer({d, tree.order_[i]});
+      const float* leaf = tree.leaves_.data() + n.leaf;
+      float d[KdTree::kLeaf];
+      for (uint32_t i = 0; i < KdTree::kLeaf; ++i) {
+        const float x = leaf[i] - query[0], y = leaf[KdTree::kLeaf + i] - query[1], z = leaf[2 * KdTree::kLeaf + i] - query[2];
+        d[i] = x * x + y * y + z * z;
       }
+      for (uint32_t i = n.begin; i < n.end; ++i)
+        if (d[i - n.begin] <= worst.square) offer({d[i - n.begin], tree.order_[i]});
       return;
     }
     const float offset = query[n.axis] - n.split;
@@ -124,7 +129,7 @@ size_t KdTree::nearest(const float* query, size_t count, float max_square, Neigh
 
 size_t KdTree::bytes() const {
   return nodes_.capacity() * sizeof(Node) + order_.capacity() * sizeof(uint32_t) +
-         (leaf_points_.capacity() + given_.capacity()) * sizeof(float);
+         (leaves_.capacity() + given_.capacity()) * sizeof(float);
 }
 
 }  // namespace heliograph

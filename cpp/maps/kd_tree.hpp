@@ -40,13 +40,16 @@ class KdTree {
     float split;
     uint32_t begin, end;  // of its points in leaf order
     uint32_t right;       // the left child is the next node; 0: a leaf
+    uint32_t leaf;        // its place in the leaves
     uint8_t axis;
   };
   uint32_t build(uint32_t begin, uint32_t end, std::span<const float> points);
 
   std::vector<Node> nodes_;
   std::vector<uint32_t> order_;  // leaf order -> index given
-  std::vector<float> leaf_points_;
+  // By leaf: x of its points, then y, then z, eight each, so that a leaf is one loop without a branch.
+  static constexpr uint32_t kLeaf = 8;
+  std::vector<float> leaves_;
   std::vector<float> given_;     // for hints: the points by index
   friend struct KdSearch;
 };

@@ -13,6 +13,7 @@ namespace heliograph {
 namespace {
 
 constexpr size_t kChunk = 256;
+constexpr double kGrazing = 0.05;  // cosine below which a plane shows neither side
 
 struct Motion {
   double R[9], t[3];
@@ -152,6 +153,16 @@ bool distribution_term(const SurfaceElement& t, const SurfaceElement& s, const d
   return true;
 }
 
+// Which side of its plane an element shows to the origin: 1, -1, or 0 where it is seen from along it.
+double seen_side(const SurfaceElement& e) {
+  double n[3], p[3];
+  widen(e.axes, n);
+  widen(e.mean, p);
+  const double towards = lie::dot3(n, p);
+  if (towards * towards < kGrazing * kGrazing * lie::dot3(p, p)) return 0.0;
+  return towards > 0.0 ? 1.0 : -1.0;
+}
+
 struct Pairing {
   const ElementLevel& target;
   const KdTree* tree;
@@ -170,14 +181,19 @@ struct Pairing {
     return tree->nearest(q, static_cast<float>(settings.gate * settings.gate), hint).index;
   }
 
+  bool facing_alike(const SurfaceElement& t, const SurfaceElement& s) const {
+    double axis[3], n[3], m[3];
+    widen(s.axes, axis);
+    lie::so3_rotate(motion.R, axis, m);
+    widen(t.axes, n);
+    const double cosine = lie::dot3(n, m);
+    if (std::abs(cosine) < settings.min_cosine) return false;
+    const double side = seen_side(t) * seen_side(s);
+    return !settings.one_sided || cosine * side >= 0.0;
+  }
+
   bool term(const SurfaceElement& t, const SurfaceElement& s, const double* p, Term* out) const {
-    if (settings.min_cosine > 0.0 && t.shape == Shape::plane && s.shape == Shape::plane) {
-      double axis[3], n[3], m[3];
-      widen(s.axes, axis);
-      lie::so3_rotate(motion.R, axis, m);
-      widen(t.axes, n);
-      if (std::abs(lie::dot3(n, m)) < settings.min_cosine) return false;
-    }
+    if (t.shape == Shape::plane && s.shape == Shape::plane && !facing_alike(t, s)) return false;
     const double floor2 = settings.sigma * settings.sigma;
     switch (settings.residual) {
       case Residual::plane: return plane_term(t, s, p, floor2, out);
@@ -278,7 +294,8 @@ IcpSums icp_sums(const SurfaceCloud& target, size_t target_level, const SurfaceC
 }
 
 std::vector<IcpMatch> icp_matches(const SurfaceCloud& target, size_t target_level, const SurfaceCloud& source,
-                                  size_t source_level, const double* T, const IcpSettings& settings, int threads) {
+                                  size_t source_level, const double* T, const IcpSettings& settings,
+                                  const std::vector<uint32_t>& hints, int threads) {
   const Pairing pairs = pairing(target, target_level, source, source_level, T, settings);
   const auto& elements = pairs.source.elements;
   const size_t count = elements.size(), chunks = (count + kChunk - 1) / kChunk;
@@ -287,7 +304,7 @@ std::vector<IcpMatch> icp_matches(const SurfaceCloud& target, size_t target_leve
     for (size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
       double p[3], q[3];
       apply(pairs.motion, elements[i].mean, p);
-      const uint32_t found = pairs.partner(p, kNoNeighbour);
+      const uint32_t found = pairs.partner(p, hints.empty() ? kNoNeighbour : hints[i]);
       Term term;
       if (found == kNoNeighbour || !pairs.term(pairs.target.elements[found], elements[i], p, &term)) continue;
       const SurfaceElement& t = pairs.target.elements[found];

@@ -17,6 +17,7 @@ struct IcpSettings {
   double kernel;        // scale of the Geman-McClure kernel [m]; 0: least squares
   double sigma;         // smallest standard deviation of a residual [m]: what the surfaces' model leaves out
   double min_cosine;    // of the angle between the normals of partners that are planes
+  bool one_sided;       // each cloud is seen from its origin: a plane's two sides are two planes
 };
 
 struct IcpSums {
@@ -46,8 +47,9 @@ struct IcpMatch {
 IcpSums icp_sums(const SurfaceCloud& target, size_t target_level, const SurfaceCloud& source, size_t source_level,
                  const double* T, const IcpSettings& settings, std::vector<uint32_t>* hints, bool keep, int threads);
 
-std::vector<IcpMatch> icp_matches(const SurfaceCloud& target, size_t target_level, const SurfaceCloud& source, size_t source_level,
-                       const double* T, const IcpSettings& settings, int threads);
+std::vector<IcpMatch> icp_matches(const SurfaceCloud& target, size_t target_level, const SurfaceCloud& source,
+                                  size_t source_level, const double* T, const IcpSettings& settings,
+                                  const std::vector<uint32_t>& hints, int threads);
 
 // The share of the elements of `from`, brought by T into the frame of `to`, that have an element of `to` within `reach`.
 double overlap_share(const SurfaceCloud& to, size_t to_level, const SurfaceCloud& from, size_t from_level,

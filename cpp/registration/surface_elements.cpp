@@ -77,11 +77,11 @@ Cells parents(const Cells& fine, double edge, FlatIndex* index, std::vector<uint
 Surface surface_of(const PointMoments& m, const double* origin, double edge, const ElementSettings& s) {
   Surface out{{0, 0, 0}, {0, 0, 1, 0, 1, 0, 1, 0, 0}, {0, 0, 0}, m.count, Shape::scatter};
   for (int i = 0; i < 3; ++i) out.centre[i] = origin[i] + m.sum[i] / m.count;
-  if (m.count < 3.0) return out;
+  // Too few for a surface: their axes are looked at only where no wider cube has one either.
+  if (m.count < static_cast<double>(s.min_support)) return out;
   double c[6];
   m.covariance(c);
   symmetric_axes(c, out.values, out.axes);
-  if (m.count < static_cast<double>(s.min_support)) return out;
   const double thickness = s.max_thickness * s.max_thickness, spread = kMinSpread * kMinSpread * edge * edge;
   const double* v = out.values;
   if (v[0] <= thickness && v[1] >= spread && v[1] >= kFlatness * v[0] && v[1] >= kWidth * v[2])
@@ -103,6 +103,16 @@ SurfaceElement element(const double* mean, double count, const Surface& surface)
   e.support = static_cast<float>(surface.count);
   e.shape = surface.shape;
   return e;
+}
+
+// The axes of points that make no surface.
+void add_axes(const PointMoments& m, SurfaceElement* e) {
+  if (m.count < 3.0) return;
+  double c[6], values[3], axes[9];
+  m.covariance(c);
+  symmetric_axes(c, values, axes);
+  for (int i = 0; i < 3; ++i) e->values[i] = static_cast<float>(values[i]);
+  for (int i = 0; i < 9; ++i) e->axes[i] = static_cast<float>(axes[i]);
 }
 
 // Whether a place belongs to a surface: it lies as near to it as the points that made it.
@@ -151,6 +161,7 @@ void SurfaceCloud::make_cubes(std::span<const float> points, const ElementSettin
         if (wider.shape == Shape::line && best->shape == Shape::scatter) best = &wider;
       }
       levels_[l].elements.push_back(element(own.centre, cells[l][i].moments.count, *best));
+      if (best->shape == Shape::scatter) add_axes(cells[l][i].moments, &levels_[l].elements.back());
     }
   }
 }
@@ -187,6 +198,31 @@ void SurfaceCloud::make_points(std::span<const float> points, const ElementSetti
     for (size_t i = 0; i < finite_; ++i) std::copy_n(points.data() + 3 * size_t{source_[i]}, 3, kept.data() + 3 * i);
     levels_[0].tree = std::make_unique<KdTree>(kept);
   }
+}
+
+double SurfaceCloud::extent(size_t level) const {
+  double side = 0.0;
+  for (int k = 0; k < 3; ++k) {
+    float low = std::numeric_limits<float>::max(), high = std::numeric_limits<float>::lowest();
+    for (const SurfaceElement& e : levels_[level].elements) {
+      low = std::min(low, e.mean[k]);
+      high = std::max(high, e.mean[k]);
+    }
+    if (high >= low) side = std::max(side, static_cast<double>(high) - static_cast<double>(low));
+  }
+  return side;
+}
+
+void SurfaceCloud::spread(size_t level, double* sigmas) const {
+  PointMoments m;
+  const auto& elements = levels_[level].elements;
+  for (const SurfaceElement& e : elements)
+    m.add(static_cast<double>(e.mean[0] - elements[0].mean[0]), static_cast<double>(e.mean[1] - elements[0].mean[1]),
+          static_cast<double>(e.mean[2] - elements[0].mean[2]));
+  double c[6] = {0, 0, 0, 0, 0, 0}, axes[9];
+  if (m.count > 1.0) m.covariance(c);
+  principal_axes(c, sigmas, axes);
+  for (int i = 0; i < 3; ++i) sigmas[i] = std::sqrt(sigmas[i]);
 }
 
 const KdTree& SurfaceCloud::tree(size_t at) {

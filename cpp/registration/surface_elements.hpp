@@ -53,6 +53,9 @@ class SurfaceCloud {
   // For elements that are points: which point of the cloud each is.
   const std::vector<uint32_t>& source() const { return source_; }
   size_t finite() const { return finite_; }
+  // Largest side of the box around a level's elements, and the standard deviations of their means, ascending [m].
+  double extent(size_t level) const;
+  void spread(size_t level, double* sigmas) const;
 
  private:
   void make_cubes(std::span<const float> points, const ElementSettings& settings);

@@ -35,6 +35,9 @@ class AlignConfig:
         Of a normal, beside what the points' own scatter tells [deg].
     min_cosine : float
         Of the angle between the normals of partners, on the two finest levels.
+    one_sided : bool
+        Each cloud is a scan seen from its origin: the two sides of a wall are not taken for one. Does nothing for
+        float64 clouds that were moved near their origin. Turn it off for maps whose frames lie far apart.
     iterations : int
         Largest number on each level.
     tolerance, tolerance_deg : float
@@ -65,6 +68,7 @@ class AlignConfig:
     sigma: float = 0.005
     normal_sigma_deg: float = 0.5
     min_cosine: float = 0.5
+    one_sided: bool = True
     iterations: int = 12
     tolerance: float = 2e-4
     tolerance_deg: float = 2e-3

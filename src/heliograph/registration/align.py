@@ -99,6 +99,11 @@ def align_prepared(
     local = start.copy()  # between the clouds less their origins
     local[:3, 3] += start[:3, :3] @ source.origin - target.origin
     fit = fit_levels(target, source, local, method, config, threads)
+    if not fit.settled and target.native.levels() > 2:
+        # The widest cubes of a small room are half of it: begin with finer ones, and keep what fits better.
+        finer = range(target.native.levels() - 2, -1, -1)
+        again = fit_levels(target, source, local, method, config, threads, levels=finer)
+        fit = again if again.weight > fit.weight else fit
     watch.lap("iterate")
     overlaps = _overlaps(target, source, fit.T, threads)
     analysis = _observability(target, source, fit, config, threads)
@@ -200,7 +205,7 @@ def _answer(
     threads: int,
     watch: Stopwatch,
 ) -> AlignResult:
-    rows = level_matches(target, source, fit.T, method, 0, fit.kernel, config, threads)
+    rows = level_matches(target, source, fit.T, method, 0, fit.kernel, config, threads, matcher=fit.matcher)
     status, reason = _status(fit, analysis, overlaps, len(rows), config)
     answered = status in ("converged", "degenerate", "not converged")
     T = _to_given(fit.T, target, source)

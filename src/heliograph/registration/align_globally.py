@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph import _core
 from heliograph.config import AlignConfig, GlobalAlignConfig
 from heliograph.lie import se3
-from heliograph.registration.align_levels import METHODS, fit_levels
+from heliograph.registration.align_levels import METHODS, fit_levels, one_sided
 from heliograph.registration.global_alignment import hypotheses
 from heliograph.registration.surfaces import PreparedCloud
 
@@ -131,8 +131,9 @@ def _evidence(
 ) -> float:
     """Robust weight of the source's finest matches, over the number of its elements."""
     matcher = _core.Matcher(target.native, 0, source.native, 0)
-    distribution, cosine = METHODS["gicp"], config.min_cosine
-    sums = matcher.sums(T, distribution, False, settings.reach, settings.kernel, config.sigma, cosine, False, threads)
+    distribution, cosine, sided = METHODS["gicp"], config.min_cosine, one_sided(target, source)
+    reach, kernel, sigma = settings.reach, settings.kernel, config.sigma
+    sums = matcher.sums(T, distribution, False, reach, kernel, sigma, cosine, sided, False, threads)
     return float(sums[3]) / max(source.native.size(0), 1)
 
 

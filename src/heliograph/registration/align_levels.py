@@ -41,18 +41,24 @@ class LevelFit:
         Weighted mean square of the whitened residuals.
     kernel : float
         The kernel's scale at the end [m].
+    weight : float
+        Sum of the robust weights.
     matches, iterations : int
     settled : bool
         Whether the last step was below the tolerance.
+    matcher : object
+        Of the native core, with the partners found last.
     """
 
     T: Array
     information: Array
     reduced_chi_square: float
     kernel: float
+    weight: float
     matches: int
     iterations: int
     settled: bool
+    matcher: _core.Matcher
 
 
 def fit_levels(
@@ -109,9 +115,11 @@ def _with_iterations(fit: LevelFit, iterations: int) -> LevelFit:
         information=fit.information,
         reduced_chi_square=fit.reduced_chi_square,
         kernel=fit.kernel,
+        weight=fit.weight,
         matches=fit.matches,
         iterations=iterations,
         settled=fit.settled,
+        matcher=fit.matcher,
     )
 
 
@@ -127,12 +135,14 @@ def _fit(
 ) -> LevelFit:
     matcher = _core.Matcher(target.native, level, source.native, level)
     gate, kernel, cosine = scales(config, level)
+    residual, by_cube, sided = METHODS[method], method == "vgicp", one_sided(target, source)
     edge = config.voxel * 2.0**level if config.voxel > 0.0 else gate
     tolerance = config.tolerance if level == 0 else _COARSE * edge
     turn = np.radians(config.tolerance_deg) if level == 0 else tolerance / _LEVER
-    keep, settled, H, chi, matches, k = False, False, np.zeros((6, 6)), float("nan"), 0, 0
+    keep, settled, H, chi, matches, k, since = False, False, np.zeros((6, 6)), float("nan"), 0, 0, 0.0
+    weight = 0.0
     for k in range(1, config.iterations + 1):
-        sums = matcher.sums(T, METHODS[method], method == "vgicp", gate, kernel, config.sigma, cosine, keep, threads)
+        sums = matcher.sums(T, residual, by_cube, gate, kernel, config.sigma, cosine, sided, keep, threads)
         H, g, _, weight, square, whitened, matches = sums
         if matches < 6 or weight <= 0.0:
             break
@@ -141,7 +151,8 @@ def _fit(
         T = np.ascontiguousarray(se3.retract(T, d))
         moved = float(np.abs(d[3:]).max()) + _LEVER * float(np.abs(d[:3]).max())
         # Partners found at nearly this pose are those of this pose: the search is most of an iteration's time.
-        keep = moved < _KEEP * edge and config.voxel > 0.0 and not keep
+        since = moved if not keep else since + moved
+        keep = since < _KEEP * edge and config.voxel > 0.0
         if level == 0 and k == 2 and kernel > 0.0:
             kernel = float(np.clip(_MIN_KERNEL * np.sqrt(square / weight), 4.0 * config.sigma, kernel))
         settled = bool(np.abs(d[3:]).max() < tolerance and np.abs(d[:3]).max() < turn)
@@ -152,15 +163,22 @@ def _fit(
         information=np.asarray(H),
         reduced_chi_square=chi,
         kernel=kernel,
+        weight=weight,
         matches=matches,
         iterations=k,
         settled=settled,
+        matcher=matcher,
     )
 
 
 def _step(H: Array, g: Array, blind: Array | None) -> Array:
     held = H + np.diag(_LOOSE * np.diag(H) + _LOOSE)
     return seen_step(held, g, blind if blind is not None else np.zeros((6, 0)))
+
+
+def one_sided(target: PreparedCloud, source: PreparedCloud) -> bool:
+    """Whether both clouds are taken for scans seen from their origins."""
+    return target.config.one_sided and not (target.origin.any() or source.origin.any())
 
 
 def scales(config: AlignConfig, level: int) -> tuple[float, float, float]:
@@ -170,21 +188,16 @@ def scales(config: AlignConfig, level: int) -> tuple[float, float, float]:
 
 
 def level_matches(
-    target: PreparedCloud,
-    source: PreparedCloud,
-    T: Array,
-    method: str,
-    level: int,
-    kernel: float,
-    config: AlignConfig,
-    threads: int,
-) -> Array:
+    target: PreparedCloud, source: PreparedCloud, T: Array, method: str, level: int, kernel: float, config: AlignConfig,
+    threads: int, *, matcher: _core.Matcher | None = None,
+) -> Array:  # fmt: skip
     """Return one row a match: point 3, normal 3 (source frame), residual, distance, weight, variance, tilt, elements 2.
 
-    ``tilt`` is the variance of the normal's direction [rad^2]; the normal is zero where the target has no plane.
+    ``tilt`` is the variance of the normal's direction [rad^2]; the normal is zero where the target has no plane. A
+    ``matcher`` of this level that was used at nearly this pose saves most of the search.
     """
-    matcher = _core.Matcher(target.native, level, source.native, level)
+    matcher = matcher if matcher is not None else _core.Matcher(target.native, level, source.native, level)
     gate, _, cosine = scales(config, level)
-    return np.asarray(
-        matcher.matches(T, METHODS[method], method == "vgicp", gate, kernel, config.sigma, cosine, threads)
-    )
+    residual, by_cube = METHODS[method], method == "vgicp"
+    sided = one_sided(target, source)
+    return np.asarray(matcher.matches(T, residual, by_cube, gate, kernel, config.sigma, cosine, sided, threads))

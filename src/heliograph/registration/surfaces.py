@@ -100,19 +100,17 @@ def _narrow(points: NDArray[np.float32] | Array, name: str) -> tuple[NDArray[np.
 def _check_content(native: _core.SurfaceCloud, given: int, used: int, config: AlignConfig, name: str) -> None:
     if used < 3:
         raise DataError(f"{name} has {used} finite points of {given}; an alignment needs at least three, and surfaces")
-    means = np.asarray(native.elements(native.levels() - 1)[0], dtype=np.float64)
-    extent = float(np.ptp(means, axis=0).max())
+    extent = native.extent(native.levels() - 1)
     if extent > config.max_extent:
         raise DataError(
             f"{name} spans {extent:.0f} m, more than {config.max_extent:.0f}: are its coordinates in millimetres? "
             "divide them by 1000, or raise max_extent"
         )
-    fine = np.asarray(native.elements(0)[0], dtype=np.float64)
-    values = np.linalg.eigvalsh(np.cov((fine - fine.mean(axis=0)).T)) if len(fine) > 1 else np.zeros(3)
-    if np.sqrt(max(values[1], 0.0)) <= _ON_LINE * np.sqrt(max(values[2], 0.0)):
+    _, across, along = native.spread(0)
+    if across <= _ON_LINE * along:
         raise DataError(
-            f"all {used} points of {name} lie within {np.sqrt(max(values[1], 0.0)):.2g} m of one line or place, which "
-            "says nothing of a turn about it; give a cloud with surfaces"
+            f"all {used} points of {name} lie within {across:.2g} m of one line or place, which says nothing of a turn "
+            "about it; give a cloud with surfaces"
         )
 
 

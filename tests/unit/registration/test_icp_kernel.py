@@ -25,7 +25,7 @@ def test_sums_agree_with_the_twin(voxel, residual):
     target, source = _clouds(voxel)
     T = np.ascontiguousarray(se3.exp([0.03, -0.02, 0.05, 0.1, -0.05, 0.02]))
     H, g, cost, weight, _, _, matches = _core.Matcher(target, 0, source, 0).sums(
-        T, RESIDUALS[residual], False, 0.8, 0.2, 0.01, 0.5, False, 3
+        T, RESIDUALS[residual], False, 0.8, 0.2, 0.01, 0.5, False, False, 3
     )
     twin = icp_sums(elements_of(target, 0), elements_of(source, 0), T, residual, gate=0.8, kernel=0.2, sigma=0.01,
                     min_cosine=0.5, edge=voxel)  # fmt: skip
@@ -39,7 +39,7 @@ def test_gradient_is_the_slope_of_the_cost():
     target, source = _clouds(0.4)
     T = np.ascontiguousarray(se3.exp([0.03, -0.02, 0.05, 0.1, -0.05, 0.02]))
     matcher = _core.Matcher(target, 0, source, 0)
-    more = (RESIDUALS["point"], False, 0.8, 0.3, 0.01, 0.0)
+    more = (RESIDUALS["point"], False, 0.8, 0.3, 0.01, 0.0, False)
     _, g, *_ = matcher.sums(T, *more, False, 1)
     step = 1e-4
     for i, direction in enumerate(np.eye(6)):
@@ -50,7 +50,7 @@ def test_gradient_is_the_slope_of_the_cost():
 
 def test_cubes_find_the_partner_that_holds_the_element():
     target, source = _clouds(0.4)
-    rows = _core.Matcher(target, 0, source, 0).matches(np.eye(4), 3, True, 0.8, 0.2, 0.01, 0.0, 1)
+    rows = _core.Matcher(target, 0, source, 0).matches(np.eye(4), 3, True, 0.8, 0.2, 0.01, 0.0, False, 1)
     t, s = elements_of(target, 0)["mean"], elements_of(source, 0)["mean"]
     cubes = np.floor(t[rows[:, 12].astype(int)] / 0.4), np.floor(s[rows[:, 11].astype(int)] / 0.4)
     np.testing.assert_array_equal(*cubes)
@@ -99,9 +99,25 @@ def test_covariances_agree_with_numpy():
 def test_sums_do_not_depend_on_guesses_or_threads():
     target, source = _clouds(0.4)
     T, near = np.eye(4), np.ascontiguousarray(se3.exp([0.0, 0.0, 0.02, 0.05, 0.0, 0.0]))
-    more = (3, False, 0.8, 0.3, 0.01, 0.5, False)
+    more = (3, False, 0.8, 0.3, 0.01, 0.5, True, False)
     fresh = _core.Matcher(target, 0, source, 0).sums(T, *more, 1)
     used = _core.Matcher(target, 0, source, 0)
     used.sums(near, *more, 4)
     again = used.sums(T, *more, 4)
     assert all(np.asarray(a).tobytes() == np.asarray(b).tobytes() for a, b in zip(fresh, again, strict=True))
+
+
+def test_two_sides_of_a_wall_are_two_walls():
+    rng = np.random.default_rng(0)
+    wall = scenes.patch(rng, (4, 0, 0), (0, 3, 0), (0, 0, 2), 2000).astype(np.float32)
+    across = np.eye(4)
+    across[0, 3] = 8.0  # the source's sensor stands behind the wall, 20 cm of which lie between its sides
+    beyond = (wall + np.float32([0.2 - 8.0, 0, 0])).astype(np.float32)
+    native = [_core.SurfaceCloud(c, 0.5, 2, 0.05, 6, 1) for c in (wall, beyond)]
+    counts = [len(_core.Matcher(native[0], 0, native[1], 0).matches(across, 1, False, 1.0, 0.2, 0.01, 0.5, sided, 1))
+              for sided in (False, True)]  # fmt: skip
+    assert counts[0] > 50 and counts[1] == 0
+    native[1] = _core.SurfaceCloud(np.ascontiguousarray(wall + np.float32([2, 0, 0])), 0.5, 2, 0.05, 6, 1)
+    T = np.eye(4)
+    T[0, 3] = -2.0
+    assert len(_core.Matcher(native[0], 0, native[1], 0).matches(T, 1, False, 1.0, 0.2, 0.01, 0.5, True, 1)) > 50
