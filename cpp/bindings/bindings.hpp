@@ -73,6 +73,7 @@ void bind_graph_diagnosis(nb::module_& m);
 void bind_graph_files(nb::module_& m);
 void bind_graph_ordering(nb::module_& m);
 void bind_graph_factors(nb::module_& m);
+void bind_graph_retraction(nb::module_& m);
 void bind_graph_tree(nb::module_& m);
 void bind_imu(nb::module_& m);
 void bind_io(nb::module_& m);

@@ -163,6 +163,11 @@ Tuple covariance_roots(const Array<const double, nb::ndim<3>>& P) {
 
 }  // namespace
 
+void bind_graph_retraction(nb::module_& m) {
+  using namespace nb::literals;
+  m.def("retract_values", &retract, "manifold"_a, "values"_a.noconvert(), "delta"_a.noconvert());
+}
+
 void bind_graph_factors(nb::module_& m) {
   using namespace nb::literals;
   m.def("covariance_roots", &covariance_roots, "P"_a.noconvert());
@@ -175,7 +180,6 @@ void bind_graph_factors(nb::module_& m) {
         "variables"_a.noconvert(), "rows"_a, "measurement"_a.noconvert(), "noise"_a, "shared_noise"_a,
         "sqrt_information"_a.noconvert(), "kernel"_a, "kernel_width"_a, "weight"_a.noconvert(), "shift"_a.noconvert(),
         "custom"_a.noconvert());
-  m.def("retract_values", &retract, "manifold"_a, "values"_a.noconvert(), "delta"_a.noconvert());
 }
 
 }  // namespace heliograph

@@ -11,7 +11,9 @@ NB_MODULE(_core, m) {
   heliograph::bind_graph_files(m);
   heliograph::bind_graph_ordering(m);
   nanobind::module_ testing = m.def_submodule("testing", "What only tests call: factors and retractions one kind at a time.");
+  heliograph::bind_graph_retraction(testing);
   heliograph::bind_graph_factors(testing);
+  heliograph::bind_graph_factors(m);
   heliograph::bind_graph_tree(m);
   heliograph::bind_imu(m);
   heliograph::bind_io(m);
