@@ -174,8 +174,8 @@ def kd_tree_section(rows: list[dict[str, Any]], table: Callable[[Sequence[str], 
         + (
             "\nA street of 200 000 points; a scan goes in, then its points ask for five neighbours (the voxel map: for "
             "planes). Least processor time of seven rounds, one thread. What is built anew pays that as insertion. "
-            "ikd-Tree publishes 4 % of a static tree's time for insertion and query together (arXiv 2102.10808), on scans "
-            "that are small beside the map.\n"
+            "ikd-Tree publishes 4 % of a static tree's time for insertion and query together (arXiv 2102.10808), on "
+            "scans that are small beside the map.\n"
         )
     )
     course = [r for r in rows if r["case"] == "drive"]

@@ -27,16 +27,16 @@ void merge_global(GlobalMap& map, const Cubes& cubes, const Points& sums, const 
   map.merge({{cubes.data(), 3 * count}, span_of(sums), span_of(intensity), span_of(counts)}, T ? T->data() : nullptr);
 }
 
-auto surfaces(const GlobalMap& map, double thickness, int threads) {
+Tuple surfaces(const GlobalMap& map, double thickness, int threads) {
   SurfacePoints found;
   {
     nb::gil_scoped_release release;
     found = map.surfaces(thickness, threads);
   }
   const size_t count = found.counts.size();
-  return nb::make_tuple(to_numpy<float>(std::move(found.points), {count, 3}),
-                        to_numpy<float>(std::move(found.intensity), {count}),
-                        to_numpy<float>(std::move(found.counts), {count}));
+  static TupleType type{"Surfaces", "points intensity counts"};
+  return named(type, to_numpy<float>(std::move(found.points), {count, 3}), to_numpy<float>(std::move(found.intensity), {count}),
+               to_numpy<float>(std::move(found.counts), {count}));
 }
 
 auto voxel_planes(const VoxelMap& map) {

@@ -10,6 +10,79 @@ from types import ModuleType
 
 testing: ModuleType  # evaluate_factors, retract_values
 
+class SurfaceCloud:
+    def __init__(
+        self,
+        points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        voxel: float,
+        levels: int,
+        max_thickness: float,
+        min_support: int,
+        threads: int,
+    ) -> None: ...
+    def levels(self) -> int: ...
+    def finite(self) -> int: ...
+    def size(self, level: int) -> int: ...
+    def extent(self, level: int) -> float: ...
+    def spread(self, level: int) -> NDArray[numpy.float64]: ...
+    def source(self) -> NDArray[numpy.uint32]: ...
+    def elements(self, level: int) -> tuple[Any, ...]: ...
+    def overlap(
+        self,
+        level: int,
+        source: SurfaceCloud,
+        source_level: int,
+        T: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+        reach: float,
+        threads: int,
+    ) -> float: ...
+
+def point_features(cloud: SurfaceCloud, level: int, radius: float, threads: int) -> NDArray[numpy.float32]: ...
+def nearest_features(
+    a: Annotated[NDArray[numpy.float32], dict(shape=(None, 33), order="C", device="cpu", writable=False)],
+    b: Annotated[NDArray[numpy.float32], dict(shape=(None, 33), order="C", device="cpu", writable=False)],
+    count: int,
+    threads: int,
+) -> NDArray[numpy.int32]: ...
+def consistent_sets(
+    p: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    q: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    normal_p: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    normal_q: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    tolerance: float,
+    max_angle: float,
+    seeds: int,
+    threads: int,
+) -> tuple[Any, ...]: ...
+
+class Matcher:
+    def __init__(self, target: SurfaceCloud, target_level: int, source: SurfaceCloud, source_level: int) -> None: ...
+    def sums(
+        self,
+        T: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+        residual: int,
+        by_cube: bool,
+        gate: float,
+        kernel: float,
+        sigma: float,
+        min_cosine: float,
+        one_sided: bool,
+        keep: bool,
+        threads: int,
+    ) -> tuple[Any, ...]: ...
+    def matches(
+        self,
+        T: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+        residual: int,
+        by_cube: bool,
+        gate: float,
+        kernel: float,
+        sigma: float,
+        min_cosine: float,
+        one_sided: bool,
+        threads: int,
+    ) -> NDArray[numpy.float64]: ...
+
 def deskew(
     points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
     offsets_ns: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
@@ -374,6 +447,63 @@ def sweep_offsets(
     ns_per_unit: float,
     longest_ns: float,
 ) -> tuple[Any, ...]: ...
+
+class KdTree:
+    def __init__(
+        self, points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)]
+    ) -> None: ...
+    def __len__(self) -> int: ...
+    def bytes(self) -> int: ...
+    def nearest(
+        self,
+        queries: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        count: int,
+        max_distance: float,
+    ) -> tuple[Any, ...]: ...
+
+class IncrementalKdTree:
+    def __init__(self, spacing: float, balance: float) -> None: ...
+    def __len__(self) -> int: ...
+    def bytes(self) -> int: ...
+    def depth(self) -> int: ...
+    def clear(self) -> None: ...
+    def points(self) -> NDArray[numpy.float32]: ...
+    def insert(
+        self, points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)]
+    ) -> int: ...
+    def insert_scan(
+        self,
+        points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+        edge: float,
+    ) -> float: ...
+    def remove_box(
+        self,
+        low: Annotated[NDArray[numpy.float32], dict(shape=(3), order="C", device="cpu", writable=False)],
+        high: Annotated[NDArray[numpy.float32], dict(shape=(3), order="C", device="cpu", writable=False)],
+    ) -> int: ...
+    def remove_beyond(
+        self,
+        centre: Annotated[NDArray[numpy.float32], dict(shape=(3), order="C", device="cpu", writable=False)],
+        radius: float,
+    ) -> int: ...
+    def nearest(
+        self,
+        queries: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        count: int,
+        max_distance: float,
+    ) -> tuple[Any, ...]: ...
+    def planes(
+        self,
+        queries: Annotated[NDArray[numpy.float64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        neighbours: int,
+        reach: float,
+        max_thickness: float,
+        min_spread: float,
+        gate: float,
+        threads: int,
+    ) -> tuple[Any, ...]: ...
+
 def so3_exp(
     batch: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu", writable=False)],
     out: Annotated[NDArray[numpy.float64], dict(order="C", device="cpu")],
@@ -505,6 +635,7 @@ class GlobalMap:
         T_map_odom: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)]
         | None,
     ) -> None: ...
+    def surfaces(self, thickness: float, threads: int) -> tuple[Any, ...]: ...
     def clear(self) -> None: ...
     def cubes(self) -> NDArray[numpy.int32]: ...
     def sums(self) -> NDArray[numpy.float32]: ...

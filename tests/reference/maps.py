@@ -230,7 +230,8 @@ class SlowSurfaces:
             while target[j] != j:
                 j = target[j]
             members.setdefault(j if np.linalg.norm(points[j] - points[i]) <= self.voxel else i, []).append(i)
-        return np.array([np.average(points[members[i]], axis=0, weights=self.counts[members[i]]) for i in every if i in members])  # fmt: skip
+        kept = [members[i] for i in every if i in members]
+        return np.array([np.average(points[k], axis=0, weights=self.counts[k]) for k in kept])
 
 
 def slow_surfaces(cubes, means, counts, voxel, thickness):

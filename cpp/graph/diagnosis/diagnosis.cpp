@@ -5,6 +5,7 @@
 #include <cmath>
 #include <numeric>
 
+#include "graph/diagnosis/slots.hpp"
 #include "graph/factors/regular.hpp"
 
 namespace heliograph {
@@ -15,22 +16,6 @@ namespace {
 bool always_regular(FactorType type) {
   return type == FactorType::prior || type == FactorType::between || type == FactorType::landmark ||
          type == FactorType::linear_motion;
-}
-
-struct Slots {
-  std::array<std::array<int32_t, kMaxArity>, kMaxArity> at{};  // of H_ab, a <= b, in a factor's block
-  int32_t size = 0;
-};
-
-Slots slots_of(const FactorGroup& group) {
-  Slots slots;
-  for (size_t a = 0; a < static_cast<size_t>(group.arity); ++a)
-    for (size_t b = a; b < static_cast<size_t>(group.arity); ++b) {
-      slots.at[a][b] = slots.size;
-      slots.size += group.dof[a] * group.dof[b];
-    }
-  slots.size = static_cast<int32_t>(block_size(group));
-  return slots;
 }
 
 int32_t root_of(std::vector<int32_t>& parent, int32_t v) {
@@ -506,18 +491,5 @@ FreeSpace free_space(const GraphProblem& problem, std::span<const int32_t> assum
 }
 
 int32_t count_components(const GraphProblem& problem) { return Finder(problem, 0).components(); }
-
-double least_pivot(const GraphProblem& problem) {
-  const Plan& plan = problem.plan();
-  const std::span<const double> factor = problem.factorization().factor(), diagonal = problem.factorization().diagonal();
-  double least = 1.0;
-  for (const FrontView& front : plan.fronts)
-    for (int32_t c = 0; c < front.pivots; ++c) {
-      const double pivot = factor[static_cast<size_t>(front.factor + int64_t{c} * front.height + c)];
-      const double from = diagonal[static_cast<size_t>(front.first_pivot + c)];
-      least = std::min(least, from > 0.0 ? pivot * pivot / from : 0.0);
-    }
-  return least;
-}
 
 }  // namespace heliograph

@@ -120,17 +120,17 @@ class GlobalMap:
     def surfaces(self, thickness: float, *, threads: int = 1) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the map without the traces of its grid: the points of one surface averaged together.
 
-        A cube's mean goes along the normal onto the plane of the means about it, or of those about a neighbour; means that
-        then coincide become one point. A wall on a border between two layers of cubes is one sheet again, and what noise
-        threw into the next layer is no point of its own. Where there is no plane, as on poles, wires and in foliage, a
-        cube's mean stays what it is.
+        A cube's mean goes along the normal onto the plane of the means about it, or of those about a neighbour; means
+        that then coincide become one point. A wall on a border between two layers of cubes is one sheet again, and what
+        noise threw into the next layer is no point of its own. Where there is no plane, as on poles, wires and in
+        foliage, a cube's mean stays what it is.
 
         Parameters
         ----------
         thickness : float
-            The means of a surface scatter about its plane by no more than this (RMS) [m]. More than 0.8 of the noise, less
-            than half of the distance between two sheets that are to stay two. Cubes much smaller than five times that show
-            a surface thicker than wide, which is then none.
+            The means of a surface scatter about its plane by no more than this (RMS) [m]. More than 0.8 of the noise,
+            less than half of the distance between two sheets that are to stay two. Cubes much smaller than five times
+            that show a surface thicker than wide, which is then none.
         threads : int
             The result does not depend on it.
 
@@ -143,11 +143,11 @@ class GlobalMap:
 
         Notes
         -----
-        A moving least-squares projection (D. Levin, Mesh-independent surface interpolation, 2003) of the means, weighted
-        by their counts, onto planes, whose bias on curved surfaces is taken back by smoothing it once more (twicing:
-        J. W. Tukey, Exploratory Data Analysis, 1977).
+        A moving least-squares projection (D. Levin, Mesh-independent surface interpolation, 2003) of the means,
+        weighted by their counts, onto planes, whose bias on curved surfaces is taken back by smoothing it once more
+        (twicing: J. W. Tukey, Exploratory Data Analysis, 1977).
         """
-        points, intensity, _ = self._native.surfaces(float(thickness), threads)
+        found = self._native.surfaces(float(thickness), threads)
         return points, intensity
 
     @property

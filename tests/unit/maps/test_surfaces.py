@@ -49,7 +49,7 @@ def test_cells_alone_make_a_wall_on_a_border_two_sheets(rng):
 
 def test_surfaces_keep_two_walls_apart(rng):
     lower, upper = wall(rng), wall(rng)
-    found = surfaces(np.vstack([lower - [0, 0, 0.04], upper + [0, 0, 0.04]]))
+    found = surfaces(np.vstack([lower - [0, 0, 0.04], np.add(upper, [0, 0, 0.04])]))
     off = np.abs(np.abs(found[:, 2]) - 0.04)
     assert np.percentile(off, 95) < 8e-3
     for sign in (-1.0, 1.0):
@@ -58,14 +58,14 @@ def test_surfaces_keep_two_walls_apart(rng):
 
 def test_surfaces_keep_a_faint_wall_in_front_of_a_dense_one(rng):
     """A tenth of the points, 8 cm off: noise does not throw so many so far."""
-    found = surfaces(np.vstack([wall(rng) - [0, 0, 0.04], wall(rng, density=400) + [0, 0, 0.04]]))
+    found = surfaces(np.vstack([wall(rng) - [0, 0, 0.04], np.add(wall(rng, density=400), [0, 0, 0.04])]))
     assert np.sum(np.abs(found[:, 2] - 0.04) < 0.02) > 650
     assert np.sum(np.abs(found[:, 2] + 0.04) < 0.01) > 850
 
 
 def test_surfaces_do_not_eat_corners(rng):
     """A corner of three walls on borders of the grid: on it, and up to the edges."""
-    faces = [np.roll(wall(rng, side=2.0) + [1.0, 1.0, 0.0], axis, axis=1) for axis in range(3)]
+    faces = [np.roll(np.add(wall(rng, side=2.0), [1.0, 1.0, 0.0]), axis, axis=1) for axis in range(3)]
     found = surfaces(np.vstack(faces))
     off = np.abs(found).min(axis=1)
     assert np.median(off) < 2e-3 and np.percentile(off, 95) < 0.02

@@ -151,7 +151,7 @@ def test_map_writer_on_a_full_disk_fails_once_and_keeps_the_points(tmp_path, ful
 
 
 def along_a_wall(count, *, drift, seed=0):
-    """Scans of a wall in y = 0 with noise of 2 cm, from a body whose odometry drifts sideways by ``drift`` each scan."""
+    """Scans of a wall in y = 0 with noise of 2 cm, whose odometry drifts sideways by ``drift`` a scan."""
     rng = np.random.default_rng(seed)
     for k in range(count):
         wall = np.column_stack([rng.uniform(-3.0, 3.0, 3000), rng.normal(0.0, 0.02, 3000), rng.uniform(0, 1, 3000)])

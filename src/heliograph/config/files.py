@@ -1,0 +1,97 @@
+"""Defaults of what is read and written."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from heliograph.config_checks import check_choice, check_range
+
+__all__ = ["InputConfig", "OutputConfig"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InputConfig:
+    """How a recording is read; an empty string or None means: infer it from the data.
+
+    Parameters
+    ----------
+    reader : str
+        Name of the reader to use, or ``"module:function"`` of one's own, which is imported; see docs/howto/plug_in.md.
+    lidar_topic, imu_topic : str
+        Topics to use.
+    point_time_field : str
+        Field that holds the per-point time.
+    point_time_unit : str
+        ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``.
+    point_time_reference : str
+        What the per-point times count from: ``"start"``, ``"middle"``, ``"end"`` (of the sweep, at the header stamp) or
+        ``"absolute"``.
+    accel_unit : str
+        ``"m/s^2"`` or ``"g"``.
+    gyro_unit : str
+        ``"rad/s"`` or ``"deg/s"``.
+    extrinsic : str
+        TOML file with ``T_imu_lidar`` as ``rotation`` (3x3 or quaternion xyzw) and ``translation`` [m].
+    start, duration : float
+        Part of the recording to use [s]; a duration of 0 means: to the end.
+    max_probe : float
+        How much from the start is read at most to infer what is not given; a sensor that begins later is not found [s].
+    """
+
+    reader: str = ""
+    lidar_topic: str = ""
+    imu_topic: str = ""
+    point_time_field: str = ""
+    point_time_unit: str = ""
+    point_time_reference: str = ""
+    accel_unit: str = ""
+    gyro_unit: str = ""
+    extrinsic: str = ""
+    start: float = 0.0
+    duration: float = 0.0
+    max_probe: float = 20.0
+
+    def __post_init__(self) -> None:
+        check_choice(self, "point_time_unit", "", "s", "ms", "us", "ns")
+        check_choice(self, "point_time_reference", "", "start", "middle", "end", "absolute")
+        check_choice(self, "accel_unit", "", "m/s^2", "g")
+        check_choice(self, "gyro_unit", "", "rad/s", "deg/s")
+        check_range(self, "start", "duration", low=0.0)
+        check_range(self, "max_probe", above=0.0, high=600.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputConfig:
+    """What a run writes.
+
+    Parameters
+    ----------
+    map_voxel : float
+        Edge of the output map's voxels, one averaged point each [m].
+    surface_thickness : float
+        Voxels whose averages scatter about a plane by no more (RMS) are one surface, and are averaged across the
+        borders of the grid [m]; 0 leaves each voxel its own average.
+    map_format : str
+        ``"ply"``, ``"pcd"`` or ``"laz"``.
+    body : str
+        Frame whose poses are written: ``"imu"``, ``"lidar"`` or a frame of the recording.
+    keyframe_distance, keyframe_angle_deg, keyframe_interval : float
+        How far [m], how much [deg] and how long [s] until the next keyframe; the points between two move as one where a
+        back-end moves the run.
+    keep_submaps : bool
+        Whether ``submaps.bin``, the points keyframe by keyframe, stays in the folder.
+    """
+
+    map_voxel: float = 0.1
+    surface_thickness: float = 0.02
+    map_format: str = "ply"
+    body: str = "imu"
+    keyframe_distance: float = 2.0
+    keyframe_angle_deg: float = 30.0
+    keyframe_interval: float = 5.0
+    keep_submaps: bool = False
+
+    def __post_init__(self) -> None:
+        check_range(self, "map_voxel", "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", above=0.0)
+        check_range(self, "surface_thickness", low=0.0)
+        check_choice(self, "map_format", "ply", "pcd", "laz")
