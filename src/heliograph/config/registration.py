@@ -18,7 +18,7 @@ class AlignConfig:
     voxel : float
         Edge of the finest cubes, one element each [m]; 0: every point is an element, and nothing is coarse.
     levels : int
-        Of cubes, each twice as wide; the widest sets how far off a start may be.
+        Levels of cubes, each twice as wide; the widest sets how far off a start may be.
     neighbours : int
         Nearest points that make the surface at a point, where ``voxel`` is 0.
     min_support : int
@@ -30,11 +30,11 @@ class AlignConfig:
     kernel : float
         Scale of the Geman-McClure kernel, in edges of a level's cubes; in metres where ``voxel`` is 0 (0: none).
     sigma : float
-        Of a residual, beside what the points' own scatter tells [m].
+        One-sigma of a residual, beside what the points' own scatter tells [m].
     normal_sigma_deg : float
-        Of a normal, beside what the points' own scatter tells [deg].
+        Normal_sigma_deg of a normal, beside what the points' own scatter tells [deg].
     min_cosine : float
-        Of the angle between the normals of partners, on the two finest levels.
+        Min_cosine of the angle between the normals of partners, on the two finest levels.
     one_sided : bool
         Each cloud is a scan seen from its origin: the two sides of a wall are not taken for one. Does nothing for
         float64 clouds that were moved near their origin. Turn it off for maps whose frames lie far apart.
@@ -98,15 +98,15 @@ class GlobalAlignConfig:
     Parameters
     ----------
     level : int
-        Of elements, 0 the finest, whose features are matched.
+        Level of elements, 0 the finest, whose features are matched.
     radius : float
-        Of a feature's neighbourhood [m].
+        Radius of a feature's neighbourhood [m].
     keypoints : int
         Elements of each cloud that are matched.
     neighbours : int
         Nearest features that count as a match, if mutual.
     tolerance : float
-        Of distances between matches that agree [m].
+        Tolerance of distances between matches that agree [m].
     max_angle_deg : float
         The same of the angles between their normals [deg].
     seeds, hypotheses : int

@@ -148,7 +148,7 @@ class GlobalMap:
         (twicing: J. W. Tukey, Exploratory Data Analysis, 1977).
         """
         found = self._native.surfaces(float(thickness), threads)
-        return points, intensity
+        return found.points, found.intensity
 
     @property
     def nbytes(self) -> int:

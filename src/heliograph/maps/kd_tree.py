@@ -25,7 +25,7 @@ class KdTreeMap:
     ----------
     config : KdTreeMapConfig, optional
     threads : int
-        Of `planes_at`; the result does not depend on it.
+        Threads of `planes_at`; the result does not depend on it.
     """
 
     def __init__(self, config: KdTreeMapConfig | None = None, *, threads: int = 1) -> None:

@@ -52,7 +52,7 @@ def align(
         is needed; it is found from features, or refused.
     config : AlignConfig, optional
     search : GlobalAlignConfig, optional
-        Of the global search.
+        Search of the global search.
     threads : int
         The result does not depend on it.
 
@@ -70,7 +70,7 @@ def align(
     """
     config = config or AlignConfig()
     check_method(method, config)
-    watch = Stopwatch()
+    watch = AlignStopwatch()
     search_first = isinstance(start, str)
     if isinstance(start, str) and start != "global":
         raise ConfigError(f"start '{start}' is neither a pose nor 'global'")
@@ -93,7 +93,7 @@ def align_prepared(
     method: str,
     config: AlignConfig,
     threads: int,
-    watch: Stopwatch,
+    watch: AlignStopwatch,
 ) -> AlignResult:
     """Do the same for clouds, start and settings that were checked."""
     local = start.copy()  # between the clouds less their origins
@@ -120,7 +120,9 @@ def _to_given(T: Array, target: PreparedCloud, source: PreparedCloud) -> Array:
     return out
 
 
-def _refused(source: PreparedCloud, start: Array, found: GlobalStart, method: str, watch: Stopwatch) -> AlignResult:
+def _refused(
+    source: PreparedCloud, start: Array, found: GlobalStart, method: str, watch: AlignStopwatch
+) -> AlignResult:
     return AlignResult(
         status="refused",
         method=method,
@@ -203,7 +205,7 @@ def _answer(
     method: str,
     config: AlignConfig,
     threads: int,
-    watch: Stopwatch,
+    watch: AlignStopwatch,
 ) -> AlignResult:
     rows = level_matches(target, source, fit.T, method, 0, fit.kernel, config, threads, matcher=fit.matcher)
     status, reason = _status(fit, analysis, overlaps, len(rows), config)
@@ -290,7 +292,7 @@ def _distribution(rows: Array, chi: float) -> ResidualDistribution:
 
 
 @dataclass(slots=True)
-class Stopwatch:
+class AlignStopwatch:
     """Wall-clock seconds by the name of what was done."""
 
     seconds: dict[str, float] = field(default_factory=dict)

@@ -36,7 +36,7 @@ class LevelFit:
     T : (4, 4) float64
         Source to target.
     information : (6, 6) float64
-        Of the last normal equations.
+        Information of the last normal equations.
     reduced_chi_square : float
         Weighted mean square of the whitened residuals.
     kernel : float
@@ -47,7 +47,7 @@ class LevelFit:
     settled : bool
         Whether the last step was below the tolerance.
     matcher : object
-        Of the native core, with the partners found last.
+        Matcher of the native core, with the partners found last.
     """
 
     T: Array

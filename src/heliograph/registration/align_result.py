@@ -50,9 +50,10 @@ class AlignResult:
     T_target_source : (4, 4) float64 or None
         The pose; None where there is no answer.
     covariance : (6, 6) float64 or None
-        Of the pose, right perturbation (rotation, translation) [rad^2, m^2]; blind directions have the start's.
+        Covariance of the pose, right perturbation (rotation, translation) [rad^2, m^2]; blind directions have the
+        start's.
     information : (6, 6) float64 or None
-        Of the matches alone: blind directions included as they are.
+        Information of the matches alone: blind directions included as they are.
     start : (4, 4) float64
         What it began from.
     iterations : int

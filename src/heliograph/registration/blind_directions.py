@@ -153,7 +153,7 @@ def analyse_planes(
     weights : (M,) float64
         Inverse variance of each residual, times its robust weight [1/m^2].
     normal_variance : (M,) float64
-        Of each normal's direction, a direction [rad^2].
+        Normal_variance of each normal's direction, a direction [rad^2].
     probability : float
         From which a direction counts as blind.
     gain : float

@@ -21,7 +21,7 @@ def remapped_step(information: Array, gradient: Array, *, threshold: float) -> t
     information : (n, n) float64
         Symmetric; its units must suit one threshold, so give rotation and translation apart, or scaled.
     gradient : (n,) float64
-        Of the cost.
+        Gradient of the cost.
     threshold : float
         Smallest eigenvalue that is used.
     """

@@ -24,7 +24,7 @@ def assert_alignment(
     Parameters
     ----------
     align : callable
-        Of a target and a source (N, 3) float32, and ``start``.
+        Align of a target and a source (N, 3) float32, and ``start``.
     rng : numpy.random.Generator
         Draws clouds and motions.
     distance, angle : float

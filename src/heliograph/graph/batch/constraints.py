@@ -35,7 +35,7 @@ def minimize_constrained(
     problem : Problem
         Analysed; its values are moved.
     settings : SolverSettings
-        Of each round.
+        Settings of each round.
     observe : callable
         Told of every iteration.
 

@@ -39,7 +39,7 @@ class RobustSettings:
     probability : float
         That a true factor's squared whitened residual is below the threshold: the chi-square quantile of its rows.
     scale_margin : float
-        Where the residuals of accepted factors are much shorter than their noise says, the threshold shrinks to so many
+        Where the residuals of accepted factors are much shorter than their noise says, the threshold shrinks to as many
         times their own scale (as a standard deviation); infinite: never. It never grows.
     step : float
         By which the convexity of the surrogate changes a round.
@@ -78,7 +78,7 @@ class RobustSolution:
     values : Values
         The estimate from trusted factors and inliers.
     status : str
-        Of the last solve: ``converged`` and so on.
+        Status of the last solve: ``converged`` and so on.
     inliers : (N,) bool
         Factors that were used; the trusted ones always.
     weights : (N,) float64

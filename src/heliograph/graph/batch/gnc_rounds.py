@@ -124,7 +124,7 @@ class Rounds:
         bound : (N,) float64
             Thresholds of the squared whitened residuals.
         step : float
-            Of the control parameter a round.
+            Factor of the control parameter from round to round.
         begin : float, optional
             First control parameter; default: the surrogate begins convex.
         """

@@ -82,12 +82,12 @@ class Marginals:
         Parameters
         ----------
         keys : int or (N,) int
-            Of one family, or of families with as many degrees of freedom.
+            Keys of one family, or of families with as many degrees of freedom.
 
         Returns
         -------
         (d, d) or (N, d, d) float64
-            Of right perturbations.
+            Covariance of right perturbations.
         """
         dense = self._dense(keys)
         _, dofs = self._problem.tangents(dense)

@@ -36,7 +36,7 @@ class Stretch:
     T_i_j : (E, k, k) float64
         Measured.
     information : (E, d, d) float64
-        Of the residual ``Log(T_i_j^-1 T)``.
+        Information of the residual ``Log(T_i_j^-1 T)``.
     """
 
     i: Indices
@@ -62,7 +62,7 @@ def agreeing(
     trusted, doubtful : Stretch
         Measurements.
     threshold : float
-        Of the squared whitened difference of two.
+        Threshold of the squared whitened difference of two.
     hops : int
         Trusted measurements between the ends of two, at most.
     """
@@ -108,7 +108,7 @@ class _Near:
 
 
 def _neighbours(n: int, i: Indices, j: Indices, roots: Indices, hops: int) -> _Near:
-    """Return what lies within so many trusted measurements of each root, itself included."""
+    """Return what lies within ``hops`` trusted measurements of each root, itself included."""
     start = np.concatenate([i, j])
     order = np.argsort(start, kind="stable")
     adjacent = np.concatenate([j, i])[order]

@@ -22,9 +22,9 @@ from heliograph.graph.problem.problem import Problem
 __all__ = ["Diagnosis", "diagnose", "inspect", "require_determined", "require_solved"]
 
 
-_MOST_COLUMNS = 48  # seed directions of one part
-_MOST_PARTS = 50  # that are told one by one
-_MOST_TOLD = 6  # in a message
+_MAX_COLUMNS = 48  # seed directions of one part
+_MAX_PARTS = 50  # that are told one by one
+_MAX_TOLD = 6  # in a message
 _TURN = 0.3  # of the perturbation that tells structure from accident [rad, and of the extent]
 _DAMPING = 1e-13  # of the diagonal, for the inverse iteration
 _SURE = 1e-7  # least pivot, of the diagonal it came from, above which nothing is free: rounding leaves 1e-10 of nothing
@@ -70,10 +70,10 @@ class Diagnosis:
             return "the graph determines every variable"
         scalars = sum(motion.scalars for motion in self.free)
         parts = []
-        for motion in self.free[:_MOST_TOLD]:
+        for motion in self.free[:_MAX_TOLD]:
             where = f" (component {motion.component + 1} of {self.components})" if self.components > 1 else ""
             parts.append(f"{motion.text}{where}: {motion.remedy}")
-        more = f"; and {len(self.free) - _MOST_TOLD} more" if len(self.free) > _MOST_TOLD else ""
+        more = f"; and {len(self.free) - _MAX_TOLD} more" if len(self.free) > _MAX_TOLD else ""
         plural = "degree" if scalars == 1 else "degrees"
         return f"the graph leaves {scalars} {plural} of freedom undetermined: " + "; ".join(parts) + more
 
@@ -177,7 +177,7 @@ def require_solved(problem: Problem, *, before: Diagnosis, failed: bool) -> Diag
     problem : Problem
         At its last values.
     before : Diagnosis
-        Of the start.
+        Diagnosis of the start.
     failed : bool
         The normal equations had no Cholesky factor.
 
@@ -244,7 +244,7 @@ class _Space:
     """What the native search found; see cpp/graph/diagnosis/diagnosis.hpp."""
 
     def __init__(self, problem: Problem, assumed: Indices) -> None:
-        found = _core.graph_free_space(problem.native, assumed.astype(np.int32), _MOST_COLUMNS)
+        found = _core.graph_free_space(problem.native, assumed.astype(np.int32), _MAX_COLUMNS)
         self.determined: bool = found[0]
         self.everywhere: bool = found[1]
         self.components: int = found[2]
@@ -335,7 +335,7 @@ class _Search:
                 single.append(int(variables[0]))
             elif space.freedom[variables[0]] == _UNRESOLVED:
                 unresolved.append(variables)
-            elif told < _MOST_PARTS and not alone:
+            elif told < _MAX_PARTS and not alone:
                 _, dofs = self.problem.tangents(variables)
                 motion = space.motion_of_part(variables, dofs, int(space.columns[number]))
                 told += self._tell(variables, self.sensitivities.free(variables, motion))
@@ -388,7 +388,7 @@ class _Search:
     def _unresolved(self, parts: Sequence[Indices]) -> None:
         """Look for motions of the whole, and with one variable assumed to be known, for what hangs on the rest."""
         assumed, floating = [], False
-        for variables in parts[:_MOST_PARTS]:
+        for variables in parts[:_MAX_PARTS]:
             mine = self._split(variables)
             motions = world_motions([f for f, _ in mine], [self._elements(f, v) for f, v in mine])
             floating |= self._tell(variables, self.sensitivities.free(variables, motions.columns))

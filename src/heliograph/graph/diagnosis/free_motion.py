@@ -18,7 +18,7 @@ from heliograph.lie import S2, SO2, SO3
 __all__ = ["FreeMotion", "describe_free", "key_ranges", "named_keys", "remedy_for"]
 
 
-_MOST_RUNS = 6  # stretches of keys in a message
+_MAX_RUNS = 6  # stretches of keys in a message
 _MOVES = 1e-6  # of the largest: a variable that moves less rests
 _RIGID = 1e-5  # sine of the angle between a motion and the rigid ones
 _TOGETHER = 0.5  # share of variables that two motions have in common to be told as one
@@ -41,7 +41,7 @@ class FreeMotion:
     words : str
         How, in the axes of the world: ``translate along z``.
     component : int
-        Of the graph, from 0.
+        Component of the graph, from 0.
     remedy : str
         What would hold them.
     each : bool
@@ -81,10 +81,10 @@ def key_ranges(keys: Keys) -> str:
     starts = np.flatnonzero(np.concatenate([[True], np.diff(ordered) != 1])) if len(ordered) else ordered
     ends = np.concatenate([starts[1:], [len(ordered)]]) - 1
     runs: list[str] = []
-    for a, b in zip(ordered[starts[:_MOST_RUNS]].tolist(), ordered[ends[:_MOST_RUNS]].tolist(), strict=True):
+    for a, b in zip(ordered[starts[:_MAX_RUNS]].tolist(), ordered[ends[:_MAX_RUNS]].tolist(), strict=True):
         first, last = key_name(a), key_name(b)
         runs.append(first if a == b else f"{first}, {last}" if b == a + 1 else f"{first}-{last}")
-    more = f" ... ({len(ordered)} in all)" if len(starts) > _MOST_RUNS else ""
+    more = f" ... ({len(ordered)} in all)" if len(starts) > _MAX_RUNS else ""
     return ", ".join(runs) + more
 
 
@@ -134,7 +134,7 @@ def describe_free(
     basis : (T, n) float64
         Independent motions of the variables, family by family.
     keys : sequence of (N,) int64
-        Of each family's variables.
+        Keys of each family's variables.
     families : sequence of Family
         As many.
     elements : sequence of (N, *shape) float64

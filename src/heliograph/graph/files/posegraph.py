@@ -37,7 +37,7 @@ class PoseGraphFile:
     Parameters
     ----------
     dimension : int
-        Of the space, 2 or 3.
+        Dimension of the space, 2 or 3.
     tables : tuple of Table
         The rows, one table a kind.
     fixed : (F,) int64

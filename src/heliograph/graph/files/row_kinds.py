@@ -60,7 +60,7 @@ class RowKind:
     layout : str
         How its value is written: ``x y theta``, ``x y z qx qy qz qw``, ``x y z roll pitch yaw``, a point, ...
     dimension : int
-        Of the space, 2 or 3.
+        Dimension of the space, 2 or 3.
     ids : int
         How many variables it names.
     parameters : int

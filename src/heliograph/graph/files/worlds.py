@@ -133,7 +133,7 @@ def grid_walk(
     Parameters
     ----------
     levels : int, optional
-        Cells along z, as in a building of so many floors; a cube without. To eliminate a cube of n poses takes work of
+        Cells along z, the floors of a building; a cube without. To eliminate a cube of n poses takes work of
         order n^2 whatever the solver, for every cut through it is a face; a building grows as a city does.
     """
     _check(poses, sigmas)

@@ -15,9 +15,9 @@ from heliograph.graph.model.families import Family
 
 __all__ = ["CustomFactors", "CustomKind", "Evaluated"]
 
-Ints = NDArray[np.int32]
-Point: TypeAlias = Callable[[Ints], Array]  # packed values of variables, one after another
-Evaluated: TypeAlias = tuple[Ints, Array, list[Array]]  # numbers, residuals and Jacobians, each flat
+Int32s = NDArray[np.int32]
+Point: TypeAlias = Callable[[Int32s], Array]  # packed values of variables, one after another
+Evaluated: TypeAlias = tuple[Int32s, Array, list[Array]]  # numbers, residuals and Jacobians, each flat
 
 
 @dataclass(slots=True)
@@ -26,10 +26,10 @@ class CustomKind:
 
     factor: type[Factor]
     families: tuple[Family, ...]
-    scopes: dict[int, Ints] = field(default_factory=dict)
+    scopes: dict[int, Int32s] = field(default_factory=dict)
     data: dict[int, tuple[Array, ...]] = field(default_factory=dict)
 
-    def evaluate(self, numbers: Ints, point: Point) -> Evaluated:
+    def evaluate(self, numbers: Int32s, point: Point) -> Evaluated:
         """Return residuals (N, rows) and Jacobians (N, rows, dof) of factors, flat, at values that `point` gives."""
         scopes = np.stack([self.scopes[n] for n in numbers.tolist()])
         arrays = [
@@ -51,7 +51,7 @@ class CustomFactors:
     def __iter__(self) -> Iterator[tuple[int, CustomKind]]:
         return iter(self.kinds.items())
 
-    def enter(self, kind: int, numbers: Ints, scopes: Ints, data: tuple[Array, ...]) -> list[int]:
+    def enter(self, kind: int, numbers: Int32s, scopes: Int32s, data: tuple[Array, ...]) -> list[int]:
         """Note new factors; return their numbers, none where the kind is a built-in one."""
         own = self.kinds.get(kind)
         if own is None:

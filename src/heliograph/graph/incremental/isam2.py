@@ -16,7 +16,7 @@ from heliograph.graph.incremental.cliques import CliqueRecord, clique_records
 from heliograph.graph.incremental.settings import ISAM2Settings
 from heliograph.graph.incremental.tree_archive import read_state, state_arrays, state_from, write_state
 from heliograph.graph.incremental.tree_state import TreeState
-from heliograph.graph.incremental.update_result import Tally, UpdateResult
+from heliograph.graph.incremental.update_result import PassTally, UpdateResult
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.families import Value
@@ -101,7 +101,7 @@ class ISAM2:
         The numbers are those of the steps in ``docs/theory/graph.md``.
         """
         _check_bound(max_variables, iterate)
-        state, policy, tally = self._state, self._policy, Tally()
+        state, policy, tally = self._state, self._policy, PassTally()
         leaving = state.leaving(remove_variables, remove, graph)
         added = state.add(graph, values)  # (1) new variables and factors, and factors that leave
         state.remove(remove, leaving)
@@ -136,7 +136,7 @@ class ISAM2:
         )
 
     def _budgets(
-        self, tally: Tally, exact: bool, iterate: float | None, max_iterations: int, max_variables: int | None
+        self, tally: PassTally, exact: bool, iterate: float | None, max_iterations: int, max_variables: int | None
     ) -> Iterator[Budget]:
         """Yield what each pass of an update may do; each is asked for when the one before is done."""
         tree, policy = self._state.native, self._policy

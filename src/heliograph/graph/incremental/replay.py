@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 
 from heliograph.errors import UnderconstrainedError
 from heliograph.graph.incremental.isam2 import ISAM2
-from heliograph.graph.incremental.replay_order import ReplayOrder, Source
+from heliograph.graph.incremental.replay_order import ReplayOrder, StartingPoint
 from heliograph.graph.incremental.update_result import UpdateResult
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.subgraph import split
@@ -24,7 +24,7 @@ class ReplayStep(NamedTuple):
     """What arrives together: factors, and how each new variable finds its start."""
 
     graph: FactorGraph
-    sources: tuple[Source, ...]
+    sources: tuple[StartingPoint, ...]
 
 
 @dataclass(slots=True, kw_only=True)
@@ -125,7 +125,7 @@ def replay(steps: Iterable[ReplayStep], smoother: ISAM2 | None = None, *, observ
     return done
 
 
-def _starts(sources: tuple[Source, ...], smoother: ISAM2, waiting: Values) -> tuple[Values, float]:
+def _starts(sources: tuple[StartingPoint, ...], smoother: ISAM2, waiting: Values) -> tuple[Values, float]:
     """Return the starts of a step's variables, and the time that reading earlier poses took."""
     values, seconds = Values(), 0.0
     for source in sources:

@@ -16,13 +16,13 @@ from heliograph.graph.model.records import key_list
 from heliograph.graph.model.values import Values
 from heliograph.lie import SE2, SE3
 
-__all__ = ["ReplayOrder", "Source"]
+__all__ = ["ReplayOrder", "StartingPoint"]
 
 
 _KINDS = ("Between", "Prior", "Landmark", "Position")
 
 
-class Source(NamedTuple):
+class StartingPoint(NamedTuple):
     """Where a new variable starts: seen from another one, or, without one, in the world.
 
     Parameters
@@ -61,7 +61,7 @@ class ReplayOrder:
                 )
         self.count = len(self._poses)
         self._step: dict[int, int] = {}
-        self._from: list[list[Source]] = [[] for _ in range(self.count)]
+        self._from: list[list[StartingPoint]] = [[] for _ in range(self.count)]
         self._edges = self._joined()
         self._arrive()
         self._see()
@@ -94,7 +94,7 @@ class ReplayOrder:
             waiting.add(key)
             source = self._placed(key, before)
             if source is None and key in anchors:
-                source = Source(key, None, self._values.at(key))
+                source = StartingPoint(key, None, self._values.at(key))
             queue = [] if source is None else [source]
             while queue:
                 source = queue.pop()
@@ -112,7 +112,7 @@ class ReplayOrder:
                 "replay has no start for them; hold one of them with `fix`, or solve this graph with another method"
             )
 
-    def _placed(self, key: int, before: int | None) -> Source | None:
+    def _placed(self, key: int, before: int | None) -> StartingPoint | None:
         """Return from where a pose is placed: from the one before it, else by its first relative pose."""
         first = None
         for other, added, row in self._edges[key]:
@@ -125,12 +125,12 @@ class ReplayOrder:
         other, added, row = first
         T_i_j = self._group(_measured(added, row))
         forward = int(added.record.keys[row, 0]) == other
-        return Source(key, other, T_i_j if forward else T_i_j.inverse())
+        return StartingPoint(key, other, T_i_j if forward else T_i_j.inverse())
 
     def _see(self) -> None:
         """Let points arrive with the first sighting that determines them; with the last, where none does alone."""
         points, held = set(self._points.tolist()), set(self._graph.fixed.tolist())
-        best: dict[int, tuple[bool, int, Source]] = {}
+        best: dict[int, tuple[bool, int, StartingPoint]] = {}
         for added in self._of("Landmark"):
             full = _determined(added)
             for row, (pose, point) in enumerate(added.record.keys.tolist()):
@@ -138,17 +138,21 @@ class ReplayOrder:
                     raise GraphError(f"{added.name(row)}: a replay takes sightings of points from poses")
                 partial, step = not full[row], self._step[pose]
                 if point in held:
-                    now = (False, step, Source(point, None, self._values.at(point)))
+                    now = (False, step, StartingPoint(point, None, self._values.at(point)))
                 else:
-                    now = (partial, -step if partial else step, Source(point, pose, added.record.measurement[row]))
+                    now = (
+                        partial,
+                        -step if partial else step,
+                        StartingPoint(point, pose, added.record.measurement[row]),
+                    )
                 if point not in best or now[:2] < best[point][:2]:
                     best[point] = now
         for point in self._points.tolist():
-            _, step, source = best.get(point, (False, 0, Source(point, None, self._values.at(point))))
+            _, step, source = best.get(point, (False, 0, StartingPoint(point, None, self._values.at(point))))
             self._step[point] = abs(step)
             self._from[abs(step)].append(source)
 
-    def sources(self) -> Iterator[tuple[Source, ...]]:
+    def sources(self) -> Iterator[tuple[StartingPoint, ...]]:
         """Yield the starts of each step's variables, in the order in which they can be computed."""
         return (tuple(sources) for sources in self._from)
 

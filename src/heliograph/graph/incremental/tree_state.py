@@ -30,7 +30,7 @@ from heliograph.graph.model.values import Values
 
 __all__ = ["TreeState"]
 
-Ints = NDArray[np.int32]
+Int32s = NDArray[np.int32]
 # What tells kinds of factors apart: type, own class, families, form of noise, kernel, rows, shapes of what is measured.
 KindName: TypeAlias = tuple[
     int, type[Factor] | None, tuple[Family, ...], int, Kernel | None, int, tuple[tuple[int, ...], ...]
@@ -42,7 +42,7 @@ class _Staged(NamedTuple):
 
     rows: slice | NDArray[np.int64]  # of all new factors, which these are
     kind: int
-    scopes: Ints
+    scopes: Int32s
     measurement: Array
     sqrt_information: Array
     data: tuple[Array, ...]
@@ -67,7 +67,7 @@ class TreeState:
         self._removed: list[int] = []
         self._made = False  # a pass of it has ended
 
-    def add(self, graph: FactorGraph | None, values: Values | None) -> Ints:
+    def add(self, graph: FactorGraph | None, values: Values | None) -> Int32s:
         """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
         graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
         values = Values() if values is None else values
@@ -267,7 +267,7 @@ class TreeState:
             for part in self._stage(added):
                 self._add_factors(part)
 
-    def _held(self, keys: NDArray[np.int64]) -> Ints | None:
+    def _held(self, keys: NDArray[np.int64]) -> Int32s | None:
         if not keys.size:
             return None
         held = self._numbers(keys, lambda: "held by `fix`")
@@ -275,7 +275,7 @@ class TreeState:
             raise GraphError(f"{key_list(keys)}: only variables that are new in an update can be held")
         return held
 
-    def _numbers(self, keys: NDArray[np.int64], what: Callable[[], str]) -> Ints:
+    def _numbers(self, keys: NDArray[np.int64], what: Callable[[], str]) -> Int32s:
         """Return the numbers of the variables, of the keys' shape; `what` tells a message what names them."""
         numbers = [self._number.get(key, -1) for key in keys.ravel().tolist()]
         found = np.array(numbers, dtype=np.int32).reshape(keys.shape)
@@ -303,7 +303,7 @@ class TreeState:
         return [self._part(added, scopes, families, np.array(rows)) for families, rows in combinations.items()]
 
     def _part(
-        self, added: Added, scopes: Ints, families: tuple[Family, ...], members: NDArray[np.int64] | None
+        self, added: Added, scopes: Int32s, families: tuple[Family, ...], members: NDArray[np.int64] | None
     ) -> _Staged:
         """Return those factors of a record that join variables of such families: some rows, or all."""
         record, noise = added.record, added.whitening
@@ -351,7 +351,7 @@ class TreeState:
             record.width,
         )
 
-    def _add_factors(self, part: _Staged) -> Ints:
+    def _add_factors(self, part: _Staged) -> Int32s:
         numbers = self.native.add_factors(
             part.kind, part.scopes.reshape(-1), part.measurement.reshape(-1), part.sqrt_information.reshape(-1)
         )
@@ -452,7 +452,7 @@ class TreeState:
         """Return the classes of the user's own factors, each once."""
         return self._custom.classes()
 
-    def key_of(self, numbers: Ints) -> NDArray[np.int64]:
+    def key_of(self, numbers: Int32s) -> NDArray[np.int64]:
         """Return the keys of the native side's variables."""
         return np.array([self._keys[v] for v in numbers.tolist()], dtype=np.int64)
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from heliograph import _core
 from heliograph.arrays import freeze
 
-__all__ = ["Tally", "UpdateResult"]
+__all__ = ["PassTally", "UpdateResult"]
 
-Ints = NDArray[np.int32]
+Int32s = NDArray[np.int32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +54,7 @@ class UpdateResult:
         By step: ``add``, ``relinearize``, ``detach``, ``reorder``, ``eliminate``, ``solve``.
     """
 
-    factors: Ints
+    factors: Int32s
     relinearized: int
     reeliminated: int
     cliques: int
@@ -73,7 +73,7 @@ class UpdateResult:
         freeze(self)
 
 
-class Tally:
+class PassTally:
     """What an update has done so far, pass by pass, and the seconds that its steps took."""
 
     __slots__ = (
@@ -113,7 +113,7 @@ class Tally:
     def result(
         self,
         *,
-        factors: Ints,
+        factors: Int32s,
         settled: bool,
         converged: bool,
         pending: int,

@@ -21,7 +21,7 @@ __all__ = ["Factor"]
 
 Namer = Callable[[int], str]
 
-_MOST_VARIABLES = 8  # the native kernels have room for so many
+_MAX_VARIABLES = 8  # room in the native kernels
 
 
 def _instance(index: int) -> str:
@@ -42,17 +42,17 @@ class Factor(FactorRecord):
         Handed to the residual after the variables. For int keys each datum is one instance's; for (N,) keys the first
         axis counts the instances. A single lie value or a number serves all.
     noise : Noise
-        Of the residual.
+        Noise of the residual.
     kernel : Kernel, optional
         For robust costs.
 
     Attributes
     ----------
     variables : tuple
-        Of each variable the lie class, such as ``SE3``, or the dimension of a vector; or a tuple of those, where it may
+        The lie class of each variable, such as ``SE3``, or the dimension of a vector; or a tuple of those, where it may
         be of any of them. The arrays' shapes then tell which it is.
     rows : int
-        Of the residual.
+        Rows of the residual.
 
     Raises
     ------
@@ -93,9 +93,9 @@ class Factor(FactorRecord):
     def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         name = cls.__name__
-        if not isinstance(cls.variables, tuple) or not 1 <= len(cls.variables) <= _MOST_VARIABLES:
+        if not isinstance(cls.variables, tuple) or not 1 <= len(cls.variables) <= _MAX_VARIABLES:
             raise GraphError(
-                f"class {name} needs `variables`: a tuple of 1 to {_MOST_VARIABLES} families, "
+                f"class {name} needs `variables`: a tuple of 1 to {_MAX_VARIABLES} families, "
                 "such as (SE3, SE3) or (SE2, 2)"
             )
         try:
@@ -180,7 +180,7 @@ class Factor(FactorRecord):
         data : sequence of (N, ...) float64
             As given to the constructor.
         families : sequence of Family, optional
-            Of each variable; by default the first that it may be of.
+            The family of each variable; by default the first that it may be of.
         name : callable
             Gives what messages call the instance of an index.
 

@@ -30,7 +30,7 @@ __all__ = [
 
 Value: TypeAlias = Any  # a lie value (one or a batch), or an array of vectors (..., d)
 
-LARGEST_VECTOR = 16  # the native kernels have room for so many degrees of freedom in one variable
+LARGEST_VECTOR = 16  # degrees of freedom of one variable that the native kernels have room for
 
 _SIZES = range(1, LARGEST_VECTOR + 1)
 
@@ -53,7 +53,7 @@ class Family:
     storage : int
         Doubles of one packed value.
     shape : tuple of int
-        Of one value as an array: a matrix, or a vector.
+        Shape of one value as an array: a matrix, or a vector.
     lie : type or None
         The class of its values; None for plain vectors.
     space : int

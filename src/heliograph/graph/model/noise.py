@@ -92,7 +92,7 @@ class Noise:
         self._ready: dict[int, Whitening] = {}  # by rows, where one serves all factors
 
     def ready(self, rows: int) -> Whitening | None:
-        """Return the S that serves all factors of so many rows where no closer look is needed, else None."""
+        """Return the S that serves all factors with ``rows`` rows, where no closer look is needed, else None."""
         found = self._ready.get(rows)
         if found is None and (sigmas := self._sigmas(rows)) is not None:
             roots = [1.0 / sigma for sigma in sigmas if _LEAST < sigma < _LARGEST]
@@ -127,7 +127,7 @@ class Noise:
         Parameters
         ----------
         rows : int
-            Of the residual.
+            Rows of the residual.
         count : int
             Number of factors.
         name : callable
@@ -177,7 +177,7 @@ def _first(mask: NDArray[np.bool_] | np.bool_) -> int:
 
 
 def _simplest(form: int, roots: Array, rows: int) -> tuple[int, Array]:
-    """Return the form and the numbers with triangles that are diagonal, and diagonals that are equal, told apart."""
+    """Return the form and the numbers with triangles that are diagonal, and diagonals that are equal, recognised."""
     if form == FULL:
         matrices = roots.reshape(-1, rows, rows)
         diagonal = np.einsum("nii->ni", matrices)

@@ -192,7 +192,7 @@ def random_graph(rng):
 
 @pytest.mark.parametrize("columns", [48, 7])
 def test_freedom_is_counted_as_singular_values_count_it(monkeypatch, columns):
-    monkeypatch.setattr(module, "_MOST_COLUMNS", columns)
+    monkeypatch.setattr(module, "_MAX_COLUMNS", columns)
     wrong = []
     for seed in range(150):
         graph, values = random_graph(np.random.default_rng(seed))
@@ -237,7 +237,7 @@ def test_the_start_may_hide_what_the_graph_determines():
 @pytest.fixture(params=["world", "factor"])
 def entangled(request, monkeypatch):
     """Fewer seeds than these graphs need; without motions of the world, inverse iteration has to find everything."""
-    monkeypatch.setattr(module, "_MOST_COLUMNS", 3)
+    monkeypatch.setattr(module, "_MAX_COLUMNS", 3)
     if request.param == "factor":
         monkeypatch.setattr(module._Search, "_unresolved", lambda *_: None)
 
