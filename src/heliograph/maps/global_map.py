@@ -147,8 +147,8 @@ class GlobalMap:
         weighted by their counts, onto planes, whose bias on curved surfaces is taken back by smoothing it once more
         (twicing: J. W. Tukey, Exploratory Data Analysis, 1977).
         """
-        found = self._native.surfaces(float(thickness), threads)
-        return found.points, found.intensity
+        points, intensity, _ = self._native.surfaces(float(thickness), threads)
+        return points, intensity
 
     @property
     def nbytes(self) -> int:
