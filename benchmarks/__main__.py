@@ -9,13 +9,29 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import calibrate, graph, graph_incremental, graph_scale, imu, imu_gnss, kitti, lio, speed, start, table
+from benchmarks import (
+    blind,
+    calibrate,
+    graph,
+    graph_incremental,
+    graph_scale,
+    imu,
+    imu_gnss,
+    kd_tree,
+    kitti,
+    lio,
+    registration,
+    speed,
+    start,
+    table,
+)
 from benchmarks.rivals import ADAPTERS
 
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
 _GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale")
-_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "lio", "calibrate")
+_CLOUDS = ("registration", "blind", "kd-tree")
+_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "lio", "calibrate", *_CLOUDS)
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio")
 _RUNS = {"imu": 20, "lio": 5, "speed": 5, "start": 3, "graph": 7, "graph-scale": 1, "graph-incremental": 5}
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
@@ -80,6 +96,25 @@ def _graphs(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         _write("graph_incremental_scale", graph_incremental.measure_incremental_scale(work, programs, count=count))
 
 
+def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
+    """Run the benchmarks of registration, degeneracy and the k-d tree."""
+    rival, work = arguments.rival_bin / "python", arguments.work / "clouds"
+    if "registration" in wanted:
+
+        def python_of(system: str) -> Path:
+            return Path(sys.executable) if system == "heliograph" else rival
+
+        rows = registration.compare_pairs(work, python_of, count=200, seed=1)
+        pair = arguments.data.parent / "registration"
+        if pair.exists():
+            rows += registration.compare_starts(pair, work, python_of, starts=50)
+        _write("registration", rows)
+    if "blind" in wanted:
+        _write("blind", [*blind.alarms(), *blind.remapping(), *blind.update_cost()])
+    if "kd-tree" in wanted:
+        _write("kd_tree", [*kd_tree.measure_trees(work, rival), *kd_tree.drive()])
+
+
 def main() -> None:
     """Run what the command line asks for and write the table."""
     arguments = _parse()
@@ -113,6 +148,8 @@ def main() -> None:
         _write("lio", lio.compare(folder, arguments.work, rival, Path(sys.executable), runs=runs))
     if any(name.startswith("graph") for name in wanted):
         _graphs(arguments, wanted)
+    if any(name in wanted for name in _CLOUDS):
+        _clouds(arguments, wanted)
     if "calibrate" in wanted:
         for motion in arguments.motions:
             seeds = range(arguments.first, arguments.first + arguments.trials)

@@ -8,10 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.blind import blind_section
 from benchmarks.calibrate import calibration_section
 from benchmarks.graph_table import graph_section, graph_summary, scale_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
+from benchmarks.kd_tree import kd_tree_section
+from benchmarks.registration import registration_section
 from benchmarks.start import start_section
 
 __all__ = ["write_readme", "write_table"]
@@ -27,6 +30,9 @@ _OTHER_SECTIONS = {
     "imu_gnss": gnss_section,
     "lio": lio_section,
     "calibrate": calibration_section,
+    "registration": registration_section,
+    "blind": blind_section,
+    "kd_tree": kd_tree_section,
 }
 
 

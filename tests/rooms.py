@@ -16,7 +16,8 @@ from pathlib import Path
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "heliograph"
 
 # What everybody may import; `atomic`, `chi_square`, `plugins`, `config` and its helpers know only the errors.
-COMMON = {"arrays", "atomic", "chi_square", "errors", "config", "config_checks", "config_toml", "plugins", "_core"}
+COMMON = {"arrays", "atomic", "chi_square", "errors", "plugins", "_core"}
+COMMON |= {"config", "config_checks", "config_registration", "config_toml"}
 SENSING = {"lie", "data"}
 ODOMETRY = SENSING | {"cloud", "imu", "maps", "registration"}
 ENGINE = {"lie", "graph"}
@@ -31,7 +32,8 @@ ALLOWED: dict[str, set[str]] = {
     "chi_square": {"errors"},
     "plugins": {"errors"},
     "config_checks": {"errors"},
-    "config": {"errors", "config_checks"},
+    "config_registration": {"errors", "config_checks"},
+    "config": {"errors", "config_checks", "config_registration"},
     "config_toml": {"errors", "config", "config_checks"},
     "lie": {"arrays", "errors", "config", "_core"},
     "testing": COMMON | SENSING | {"maps", "registration", "odometry", "graph", "io", "output"},

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Annotated, Any
 
+from types import ModuleType
+
 import numpy
 from numpy.typing import NDArray
 
