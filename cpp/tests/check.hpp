@@ -16,6 +16,7 @@
 #define CHECK_NEAR(a, b, tolerance) CHECK(std::abs((a) - (b)) <= (tolerance))
 
 // One function a room; main.cpp calls them all.
+void check_alignment();
 void check_cloud();
 void check_graph_files();
 void check_graph_ordering();

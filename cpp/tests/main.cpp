@@ -2,6 +2,7 @@
 #include "tests/check.hpp"
 
 int main() {
+  check_alignment();
   check_cloud();
   check_graph_files();
   check_graph_ordering();
