@@ -148,8 +148,7 @@ def main() -> None:
         _write("lio", lio.compare(folder, arguments.work, rival, Path(sys.executable), runs=runs))
     if any(name.startswith("graph") for name in wanted):
         _graphs(arguments, wanted)
-    if any(name in wanted for name in _CLOUDS):
-        _clouds(arguments, wanted)
+    _clouds(arguments, wanted)
     if "calibrate" in wanted:
         for motion in arguments.motions:
             seeds = range(arguments.first, arguments.first + arguments.trials)

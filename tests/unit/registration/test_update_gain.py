@@ -1,11 +1,16 @@
 """The update by information and the textbook's gain are the same update; only their cost differs."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+ROOT = Path(__file__).resolve().parents[3]
+
 
 @pytest.mark.parametrize("points", [1, 30, 400])
-def test_information_form_equals_the_textbook_gain(points):
+def test_information_form_equals_the_textbook_gain(points, monkeypatch):
+    monkeypatch.syspath_prepend(ROOT)
     from benchmarks.blind import _by_gain, _by_information
 
     rng = np.random.default_rng(points)
