@@ -1,9 +1,8 @@
 """Native kernels of Heliograph; private, wrapped by the Python rooms."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any
-
 from types import ModuleType
+from typing import Annotated, Any
 
 import numpy
 from numpy.typing import NDArray
@@ -610,7 +609,7 @@ class GlobalMap:
         T_map_odom: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)]
         | None,
     ) -> None: ...
-    def surfaces(self, thickness: float, threads: int) -> tuple[Any, ...]: ...
+    def surfaces(self, thickness: float, threads: int) -> tuple: ...
     def clear(self) -> None: ...
     def cubes(self) -> NDArray[numpy.int32]: ...
     def sums(self) -> NDArray[numpy.float32]: ...
