@@ -230,6 +230,31 @@ def order_fill(
     weight: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
     order: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
 ) -> tuple[Any, ...]: ...
+def covariance_roots(
+    P: Annotated[NDArray[numpy.float64], dict(shape=(None, None, None), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
+def pack_single(
+    manifold: int,
+    value: Annotated[NDArray[numpy.float64], dict(device="cpu", writable=False)],
+    out: Annotated[NDArray[numpy.float64], dict(shape=(None, None), order="C", device="cpu")],
+) -> bool: ...
+def is_sound(manifold: int, value: Annotated[NDArray[numpy.float64], dict(device="cpu", writable=False)]) -> bool: ...
+def evaluate_factors(
+    type: int,
+    families: Annotated[NDArray[numpy.int64], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    values: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    variables: Annotated[NDArray[numpy.int32], dict(shape=(None, None), order="C", device="cpu", writable=False)],
+    rows: int,
+    measurement: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    noise: int,
+    shared_noise: bool,
+    sqrt_information: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    kernel: int,
+    kernel_width: float,
+    weight: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    shift: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    custom: Annotated[NDArray[numpy.float64], dict(shape=(None,), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
 
 class TreeCounts:
     @property
