@@ -1,11 +1,12 @@
 """Native kernels of Heliograph; private, wrapped by the Python rooms."""
 
 from collections.abc import Sequence
-from types import ModuleType
 from typing import Annotated, Any
 
 import numpy
 from numpy.typing import NDArray
+
+from types import ModuleType
 
 testing: ModuleType  # evaluate_factors, retract_values
 
