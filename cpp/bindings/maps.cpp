@@ -27,7 +27,7 @@ void merge_global(GlobalMap& map, const Cubes& cubes, const Points& sums, const 
   map.merge({{cubes.data(), 3 * count}, span_of(sums), span_of(intensity), span_of(counts)}, T ? T->data() : nullptr);
 }
 
-Tuple surfaces(const GlobalMap& map, double thickness, int threads) {
+Tuple surfaces(GlobalMap& map, double thickness, int threads) {
   SurfacePoints found;
   {
     nb::gil_scoped_release release;

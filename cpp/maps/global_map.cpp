@@ -18,6 +18,7 @@ GlobalMap::GlobalMap(double voxel) : voxel_(voxel), index_(16) {
 }
 
 void GlobalMap::insert(std::span<const float> points_body, std::span<const float> intensity, const double* T) {
+  reindex();
   const double inverse = 1.0 / voxel_;
   const size_t count = points_body.size() / 3;
   std::array<uint64_t, kBatch> keys;
@@ -56,6 +57,7 @@ void GlobalMap::insert(std::span<const float> points_body, std::span<const float
 }
 
 void GlobalMap::merge(const Cells& from, const double* T) {
+  reindex();
   const size_t count = from.counts.size();
   std::array<uint64_t, kBatch> keys;
   std::array<std::array<float, 3>, kBatch> sums;
@@ -105,6 +107,17 @@ Cube GlobalMap::moved(const int32_t* cube, const float* sum, float count, const 
 void GlobalMap::clear() {
   index_.clear();
   cells_.clear();
+}
+
+SurfacePoints GlobalMap::surfaces(double thickness, int threads) {
+  index_ = FlatIndex(4);
+  return surface_points(cells_, voxel_, thickness, threads);
+}
+
+// The index that `surfaces` has given back.
+void GlobalMap::reindex() {
+  if (index_.size() == cells_.size()) return;
+  for (size_t id = 0; id < cells_.size(); ++id) index_.insert(cells_[id].key, static_cast<uint32_t>(id));
 }
 
 std::vector<float> GlobalMap::points() const {

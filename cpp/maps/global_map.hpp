@@ -39,13 +39,14 @@ class GlobalMap {
   std::vector<float> sums() const;       // (M, 3) sum of the points' offsets from the cube's centre
   std::vector<float> intensity_sums() const;  // (M,)
 
-  // The means without the traces of the grid, see surfaces.hpp.
-  SurfacePoints surfaces(double thickness, int threads) const {
-    return surface_points(cells_, voxel_, thickness, threads);
-  }
+  // The means without the traces of the grid, see surfaces.hpp. Gives the index's memory back, which the next insertion
+  // takes again: this is done once, when a map is complete and at its largest.
+  SurfacePoints surfaces(double thickness, int threads);
 
  private:
   Cube moved(const int32_t* cube, const float* sum, float count, const double* T, std::array<float, 3>& moved_sum) const;
+
+  void reindex();
 
   double voxel_;
   FlatIndex index_;

@@ -4,6 +4,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <tuple>
 #include <utility>
 
 #include "util/parallel.hpp"
@@ -17,8 +18,8 @@ constexpr uint32_t kNone = ~uint32_t{0};
 constexpr size_t kChunk = 8192;  // cells
 constexpr size_t kAround = 28;  // 27 cubes, in fours
 
-// In units of the thickness: how far from its plane a cell may lie. Noise as large as the thickness is split by a border
-// into means at 0.8 of it; of what it throws beyond 2.5 some points come together in a cell, beyond 4 hardly one.
+// In units of the thickness: how far from its plane a cell may lie. Noise as large as the thickness is split by a
+// border into means at 0.8 of it; of what it throws beyond 2.5 some points come together in a cell, beyond 4 hardly one.
 constexpr float kGate = 2.5F;
 constexpr float kFarGate = 4.0F;
 constexpr float kBeyond = 0.0062F;  // share of normal noise beyond kGate on one side
@@ -71,6 +72,7 @@ struct Around {
 };
 
 // Nine columns of three cubes each stand about a cube; in the order of keys, each advances together with it.
+// `keys` ends in one that is greater than all others and stands for no cell.
 class Columns {
  public:
   Columns(std::span<const uint64_t> keys, size_t start) : keys_(keys) {
@@ -85,9 +87,9 @@ class Columns {
     for (size_t c = 0; c < cursors_.size(); ++c) {
       const uint64_t first = lowest(keys_[i], c);
       size_t j = cursors_[c];
-      while (j < keys_.size() && keys_[j] < first) ++j;
+      while (keys_[j] < first) ++j;
       cursors_[c] = j;
-      for (; j < keys_.size() && keys_[j] <= first + 2; ++j)
+      for (; keys_[j] <= first + 2 && j + 1 < keys_.size(); ++j)
         see(static_cast<uint32_t>(j), Vec{static_cast<float>(c / 3) - 1.0F, static_cast<float>(c % 3) - 1.0F,
                                           static_cast<float>(keys_[j] - first) - 1.0F});
     }
@@ -110,7 +112,7 @@ struct Spread {
 };
 
 // Newton from below meets the smallest root of the characteristic polynomial without overshooting, in three or four
-// steps where it stands apart; where all three are close, less than a twentieth is left after eight, and it is no plane.
+// steps where it stands apart; where all three are close, a twentieth at most is left after eight, and it is no plane.
 Spread thinnest(const Eigen::Matrix3d& a) {
   const double trace = a.trace();
   if (!(trace > 0.0)) return {0.0, 0.0, Eigen::Vector3d::UnitZ()};
@@ -148,11 +150,15 @@ class Surfaces {
     each([this](uint32_t i, Columns& columns) { planes_[i] = fit(i, columns); });
     moves_.resize(cells.size());
     each([this](uint32_t i, Columns& columns) { moves_[i] = nearest_plane(i, columns); });
-    std::vector<float> heights(cells.size());
-    each([&](uint32_t i, Columns& columns) { heights[i] = moves_[i].height - bend(i, columns); });
-    for (size_t i = 0; i < heights.size(); ++i) moves_[i].height = heights[i];
     target_.resize(cells.size());
-    each([this](uint32_t i, Columns& columns) { target_[i] = heavier(i, columns); });
+    std::vector<float> bends(cells.size());
+    each([&](uint32_t i, Columns& columns) { std::tie(target_[i], bends[i]) = merged(i, columns); });
+    for (uint32_t i = 0; i < bends.size(); ++i) {
+      moves_[i].height -= bends[i];
+      sites_[i].mean = sites_[i].mean + shift(i);
+    }
+    planes_ = {};
+    moves_ = {};
   }
 
   SurfacePoints points() {
@@ -167,7 +173,7 @@ class Surfaces {
     std::vector<std::pair<uint64_t, uint32_t>> sorted(cells_.size());
     for (size_t id = 0; id < cells_.size(); ++id) sorted[id] = {cells_[id].key, static_cast<uint32_t>(id)};
     std::sort(sorted.begin(), sorted.end());
-    keys_.resize(cells_.size());
+    keys_.assign(cells_.size() + 1, kNoKey);  // the last for `Columns`
     order_.resize(cells_.size());
     sites_.resize(cells_.size());
     for (size_t i = 0; i < sorted.size(); ++i) {
@@ -181,8 +187,8 @@ class Surfaces {
   // Calls see(i, columns) for all cells. Each call writes what belongs to its own cell only.
   template <typename See>
   void each(See&& see) const {
-    parallel_chunks((keys_.size() + kChunk - 1) / kChunk, threads_, [&](size_t chunk) {
-      const size_t begin = chunk * kChunk, end = std::min(keys_.size(), begin + kChunk);
+    parallel_chunks((cells_.size() + kChunk - 1) / kChunk, threads_, [&](size_t chunk) {
+      const size_t begin = chunk * kChunk, end = std::min(cells_.size(), begin + kChunk);
       Columns columns(keys_, begin);
       for (size_t i = begin; i < end; ++i) see(static_cast<uint32_t>(i), columns);
     });
@@ -205,6 +211,7 @@ class Surfaces {
       around.x[k] = d.x, around.y[k] = d.y, around.z[k] = d.z;
       around.weight[k] = weight(j, d), around.count[k] = sites_[j].count;
     });
+    if (around.size < kMinCells) return {};
     for (size_t k = around.size; k % 4 != 0; ++k)
       around.x[k] = around.y[k] = around.z[k] = around.weight[k] = around.count[k] = 0.0F;
     const Plane rough = fit(around);
@@ -249,8 +256,8 @@ class Surfaces {
     return plane;
   }
 
-  // Whether a cell of `count` points may lie `residual` off the plane: up to the gate, or farther where they are no more
-  // than noise throws there (Poisson, four sigmas).
+  // Whether a cell of `count` points may lie `residual` off the plane: up to the gate, or farther where they are no
+  // more than noise throws there (Poisson, four sigmas).
   bool belongs(float residual, float count, const Plane& plane) const {
     if (plane.typical < 0.0F || std::abs(residual) > kFarGate / kGate * gate_) return false;
     const float expected = kBeyond * plane.typical;
@@ -272,54 +279,48 @@ class Surfaces {
     return best;
   }
 
-  // What the moves of the cells about cell i have in common along its normal: planes flatten what is round, all to one
-  // side, and that is taken back. The two sides of a border move against each other and have nothing in common.
-  // J. W. Tukey, Exploratory Data Analysis (1977), chapter 16: twicing.
-  float bend(uint32_t i, Columns& columns) const {
-    const Move& own = moves_[i];
-    if (own.plane == kNone) return 0.0F;
-    const Vec normal = planes_[own.plane].normal;
-    float sum = 0.0F, all = 0.0F;
-    columns.visit(i, [&](uint32_t j, const Vec& step) {
-      const Move& move = moves_[j];
-      if (move.plane == kNone) return;
-      const Vec d = between(i, j, step);
-      const float cosine = dot(normal, planes_[move.plane].normal);
-      if (std::abs(cosine) < kParallel || std::abs(dot(normal, d) - own.height) > gate_) return;
-      const float w = weight(j, d);
-      sum += w * move.height * cosine;
-      all += w;
-    });
-    return all > 0.0F ? sum / all : 0.0F;
-  }
-
   Vec shift(uint32_t i) const {
     const Move& move = moves_[i];
     return move.plane == kNone ? Vec{0.0F, 0.0F, 0.0F} : move.height * planes_[move.plane].normal;
   }
 
-  // The heaviest of the heavier cells that lie, once moved, where cell i does; itself where there is none.
-  uint32_t heavier(uint32_t i, Columns& columns) const {
-    if (moves_[i].plane == kNone) return i;
-    const Vec normal = planes_[moves_[i].plane].normal, own = shift(i);
+  // The heaviest of the heavier cells that lie, once moved, where cell i does; itself where there is none. And what the
+  // moves of the cells about it have in common along its normal: planes flatten what is round, all to one side, which
+  // is to be taken back. The two sides of a border move against each other and have nothing in common.
+  // J. W. Tukey, Exploratory Data Analysis (1977), chapter 16: twicing.
+  std::pair<uint32_t, float> merged(uint32_t i, Columns& columns) const {
+    const Move& own = moves_[i];
+    if (own.plane == kNone) return {i, 0.0F};
+    const Vec normal = planes_[own.plane].normal, moved = shift(i);
     const float beside = kBeside * edge_, above = kAbove * edge_;
     uint32_t best = i;
+    float sum = 0.0F, all = 0.0F;
     columns.visit(i, [&](uint32_t j, const Vec& step) {
+      const Move& move = moves_[j];
+      if (move.plane == kNone) return;
+      const Vec& other = planes_[move.plane].normal;
+      const float cosine = dot(normal, other);
+      if (std::abs(cosine) < kParallel) return;
+      const Vec d = between(i, j, step);
+      if (std::abs(dot(normal, d) - own.height) <= gate_) {
+        const float w = weight(j, d);
+        sum += w * move.height * cosine;
+        all += w;
+      }
       const float count = sites_[j].count, least = sites_[best].count;
-      if (!(count > least || (best == i && count == least && j < i)) || moves_[j].plane == kNone) return;
-      const Vec d = between(i, j, step) + shift(j) - own;
-      const float across = dot(d, normal);
-      if (std::abs(across) > above || dot(d, d) - across * across > beside * beside) return;
-      if (std::abs(dot(normal, planes_[moves_[j].plane].normal)) >= kParallel) best = j;
+      if (!(count > least || (best == i && count == least && j < i))) return;
+      const Vec way = d + move.height * other - moved;
+      const float across = dot(way, normal);
+      if (std::abs(across) <= above && dot(way, way) - across * across <= beside * beside) best = j;
     });
-    return best;
+    return {best, all > 0.0F ? sum / all : 0.0F};
   }
 
-  // Where cell j's mean, once moved, lies from the centre of cell i's cube.
+  // Where cell j's mean, now moved, lies from the centre of cell i's cube.
   Vec place(uint32_t j, uint32_t i) const {
     const Cube a = unpack(keys_[i]), b = unpack(keys_[j]);
     const Vec step{static_cast<float>(b.x - a.x), static_cast<float>(b.y - a.y), static_cast<float>(b.z - a.z)};
-    return sites_[j].mean + shift(j) + edge_ * step;
+    return sites_[j].mean + edge_ * step;
   }
 
   // Follows each cell's heavier ones to the heaviest, unless that lies too far off to be one point with it.
@@ -347,13 +348,12 @@ class Surfaces {
 
   SurfacePoints averaged(size_t count) const {
     SurfacePoints out{std::vector<float>(3 * count), std::vector<float>(count), std::vector<float>(count)};
-    std::vector<std::array<double, 3>> sums(count);  // from the root's own place: what stays alone stays as it is
-    for (uint32_t i = 0; i < target_.size(); ++i) {
+    for (uint32_t i = 0; i < target_.size(); ++i) {  // from the root's own place: what stays alone stays as it is
       const uint32_t root = target_[i];
       const size_t number = number_[order_[root]];
       const Vec d = place(i, root) - place(root, root);
       const float n = sites_[i].count;
-      sums[number][0] += n * d.x, sums[number][1] += n * d.y, sums[number][2] += n * d.z;
+      out.points[3 * number] += n * d.x, out.points[3 * number + 1] += n * d.y, out.points[3 * number + 2] += n * d.z;
       out.intensity[number] += cells_[order_[i]].intensity;
       out.counts[number] += n;
     }
@@ -366,7 +366,7 @@ class Surfaces {
                             (static_cast<double>(cube.y) + 0.5) * voxel_ + own.y,
                             (static_cast<double>(cube.z) + 0.5) * voxel_ + own.z};
       for (size_t k = 0; k < 3; ++k)
-        out.points[3 * number + k] = static_cast<float>(at[k] + sums[number][k] / out.counts[number]);
+        out.points[3 * number + k] = static_cast<float>(at[k] + out.points[3 * number + k] / out.counts[number]);
       out.intensity[number] /= out.counts[number];
     }
     return out;

@@ -221,17 +221,18 @@ class SlowSurfaces:
         normals = [None if move is None else planes[move[0]][0] for move in moves]
         points = self.means.copy()
         for i in every:
-            if moves[i] is not None:
-                points[i] += (moves[i][1] - self.bend(i, moves, planes)) * normals[i]
+            points[i] += 0.0 if moves[i] is None else moves[i][1] * normals[i]
         target = [self.heavier(i, points, normals) for i in every]
+        for i in every:
+            points[i] -= 0.0 if moves[i] is None else self.bend(i, moves, planes) * normals[i]
         members = {}
         for i in every:
             j = i
             while target[j] != j:
                 j = target[j]
             members.setdefault(j if np.linalg.norm(points[j] - points[i]) <= self.voxel else i, []).append(i)
-        kept = [members[i] for i in every if i in members]
-        return np.array([np.average(points[k], axis=0, weights=self.counts[k]) for k in kept])
+        groups = [members[i] for i in every if i in members]
+        return np.array([np.average(points[group], axis=0, weights=self.counts[group]) for group in groups])
 
 
 def slow_surfaces(cubes, means, counts, voxel, thickness):

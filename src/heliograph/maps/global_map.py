@@ -129,8 +129,8 @@ class GlobalMap:
         ----------
         thickness : float
             The means of a surface scatter about its plane by no more than this (RMS) [m]. More than 0.8 of the noise,
-            less than half of the distance between two sheets that are to stay two. Cubes much smaller than five times
-            that show a surface thicker than wide, which is then none.
+            less than half of the distance between two sheets that are to stay two. Cubes smaller than about four times
+            the noise see a surface thicker than wide, which is then none.
         threads : int
             The result does not depend on it.
 
@@ -144,8 +144,8 @@ class GlobalMap:
         Notes
         -----
         A moving least-squares projection (D. Levin, Mesh-independent surface interpolation, 2003) of the means,
-        weighted by their counts, onto planes, whose bias on curved surfaces is taken back by smoothing it once more
-        (twicing: J. W. Tukey, Exploratory Data Analysis, 1977).
+        weighted by their counts, onto planes. Its bias on curved surfaces is taken back by smoothing the moves
+        once more (twicing: J. W. Tukey, Exploratory Data Analysis, 1977).
         """
         points, intensity, _ = self._native.surfaces(float(thickness), threads)
         return points, intensity

@@ -8,6 +8,7 @@ from heliograph.maps import GlobalMap
 from reference.maps import slow_surfaces
 
 VOXEL, NOISE, THICKNESS = 0.1, 0.02, 0.02
+UP = np.array([0.0, 0.0, 0.04])
 
 
 def wall(rng, *, side=3.0, density=4000, noise=NOISE):
@@ -49,7 +50,7 @@ def test_cells_alone_make_a_wall_on_a_border_two_sheets(rng):
 
 def test_surfaces_keep_two_walls_apart(rng):
     lower, upper = wall(rng), wall(rng)
-    found = surfaces(np.vstack([lower - [0, 0, 0.04], np.add(upper, [0, 0, 0.04])]))
+    found = surfaces(np.vstack([lower - UP, upper + UP]))
     off = np.abs(np.abs(found[:, 2]) - 0.04)
     assert np.percentile(off, 95) < 8e-3
     for sign in (-1.0, 1.0):
@@ -58,14 +59,15 @@ def test_surfaces_keep_two_walls_apart(rng):
 
 def test_surfaces_keep_a_faint_wall_in_front_of_a_dense_one(rng):
     """A tenth of the points, 8 cm off: noise does not throw so many so far."""
-    found = surfaces(np.vstack([wall(rng) - [0, 0, 0.04], np.add(wall(rng, density=400), [0, 0, 0.04])]))
+    found = surfaces(np.vstack([wall(rng) - UP, wall(rng, density=400) + UP]))
     assert np.sum(np.abs(found[:, 2] - 0.04) < 0.02) > 650
     assert np.sum(np.abs(found[:, 2] + 0.04) < 0.01) > 850
 
 
 def test_surfaces_do_not_eat_corners(rng):
     """A corner of three walls on borders of the grid: on it, and up to the edges."""
-    faces = [np.roll(np.add(wall(rng, side=2.0), [1.0, 1.0, 0.0]), axis, axis=1) for axis in range(3)]
+    middle = np.array([1.0, 1.0, 0.0])
+    faces = [np.roll(wall(rng, side=2.0) + middle, axis, axis=1) for axis in range(3)]
     found = surfaces(np.vstack(faces))
     off = np.abs(found).min(axis=1)
     assert np.median(off) < 2e-3 and np.percentile(off, 95) < 0.02
@@ -104,6 +106,12 @@ def test_surfaces_leave_single_points_as_they_are(rng):
     points, intensity = grown.surfaces(THICKNESS)
     np.testing.assert_array_equal(points, grown.points())
     np.testing.assert_array_equal(intensity, grown.intensity())
+
+
+def test_surfaces_leave_four_points_that_lie_almost_in_a_plane(rng):
+    four = np.array([[0.05, 0.05, 0.06], [0.15, 0.05, 0.04], [0.05, 0.15, 0.04], [0.15, 0.15, 0.06]], np.float32)
+    grown = mapped(four)
+    np.testing.assert_array_equal(grown.surfaces(THICKNESS)[0], grown.points())
 
 
 def test_surfaces_leave_single_points_beside_a_wall(rng):
@@ -149,3 +157,18 @@ def test_surfaces_equal_their_twin(seed):
 def test_surfaces_of_an_empty_map_are_empty():
     points, intensity = GlobalMap(VOXEL).surfaces(THICKNESS)
     assert points.shape == (0, 3) and intensity.shape == (0,)
+
+
+def test_surfaces_give_the_index_back_and_the_map_grows_on(rng):
+    points = wall(rng)
+    grown, twice = mapped(points), mapped(points)
+    before = grown.nbytes
+    grown.surfaces(THICKNESS)
+    assert grown.nbytes < before
+    for cloud in (grown, twice):
+        cloud.insert(points.astype(np.float32), None, np.eye(4))
+    np.testing.assert_array_equal(grown.points(), twice.points())
+    grown.surfaces(THICKNESS)
+    for cloud in (grown, twice):
+        cloud.merge(mapped(points).cells())
+    np.testing.assert_array_equal(grown.counts(), twice.counts())
