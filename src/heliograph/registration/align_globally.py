@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.config import AlignConfig, GlobalAlignConfig
 from heliograph.lie import se3
 from heliograph.registration.align_levels import METHODS, fit_levels, one_sided
@@ -48,12 +49,18 @@ class GlobalStart:
     lead: float
     tried: int
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Scored:
     T: Array
     overlap: float
     evidence: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def fit(self) -> float:

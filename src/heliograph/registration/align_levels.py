@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.config import AlignConfig
 from heliograph.lie import se3
 from heliograph.registration.remapping import seen_step
@@ -59,6 +60,9 @@ class LevelFit:
     iterations: int
     settled: bool
     matcher: _core.Matcher
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def fit_levels(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.registration.blind_directions import InformationAnalysis
 
 __all__ = ["AlignResult", "ResidualDistribution"]
@@ -87,6 +88,9 @@ class AlignResult:
     observability: InformationAnalysis | None
     seconds: Mapping[str, float]
     reason: str = ""
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def converged(self) -> bool:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
+
 __all__ = ["DirectionInformation", "InformationAnalysis", "analyse_information", "analyse_planes"]
 
 Array = NDArray[np.float64]
@@ -40,6 +42,9 @@ class DirectionInformation:
     probability: float
     blind: bool
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
     def __str__(self) -> str:
         x, y, z = self.direction
         way = "about" if self.kind == "rotation" else "along"
@@ -62,6 +67,9 @@ class InformationAnalysis:
     rotation: tuple[DirectionInformation, ...]
     translation: tuple[DirectionInformation, ...]
     information: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @property
     def blind(self) -> tuple[DirectionInformation, ...]:

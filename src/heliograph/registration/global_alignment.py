@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.config import GlobalAlignConfig
 from heliograph.lie import se3, so3
 from heliograph.registration.surfaces import PreparedCloud
@@ -34,12 +35,18 @@ class Hypothesis:
     T: Array
     support: int
 
+    def __post_init__(self) -> None:
+        freeze(self)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Keypoints:
     places: NDArray[np.float32]
     normals: NDArray[np.float32]
     features: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def hypotheses(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
+from heliograph.arrays import freeze
 from heliograph.config import AlignConfig
 from heliograph.errors import ConfigError, DataError
 
@@ -42,6 +43,9 @@ class PreparedCloud:
     origin: Array
     used: int
     config: AlignConfig
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     def __len__(self) -> int:
         return self.used

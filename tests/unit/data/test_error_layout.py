@@ -13,7 +13,14 @@ HOME = SOURCE / "data" / "error_layout.py"
 # Rooms that handle the filter's errors.
 ROOMS = ["data", "imu", "maps", "registration", "odometry", "calibration/mounting.py", "examination.py"]
 # Their vectors and matrices have layouts of their own.
-OTHER_LAYOUTS = {"imu/motion_chain.py", "imu/motion_start.py", "imu/preintegration.py", "data/online_calibration.py"}
+OTHER_LAYOUTS = {
+    "imu/motion_chain.py",
+    "imu/motion_start.py",
+    "imu/preintegration.py",
+    "data/online_calibration.py",
+    *(f"registration/{name}.py" for name in ("align", "align_globally", "align_levels", "blind_directions")),
+    *(f"registration/{name}.py" for name in ("global_alignment", "remapping", "surfaces")),
+}  # two clouds know a pose and no filter
 # What is indexed by the layout is called so; whatever its name, an index beyond the velocity is the layout's.
 OF_THE_LAYOUT = {"covariance", "delta", "step", "shift", "total", "information", "P", "J", "F", "G", "M", "f"}
 
