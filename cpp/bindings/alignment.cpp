@@ -112,9 +112,7 @@ Tuple sets_of(const Points& p, const Points& q, const Points& normal_p, const Po
   return Tuple(nb::tuple(out));
 }
 
-}  // namespace
-
-void bind_alignment(nb::module_& m) {
+void bind_surface_cloud(nb::module_& m) {
   using namespace nb::literals;
   nb::class_<SurfaceCloud>(m, "SurfaceCloud")
       .def("__init__",
@@ -152,6 +150,13 @@ void bind_alignment(nb::module_& m) {
              });
            },
            "level"_a, "source"_a, "source_level"_a, "T"_a.noconvert(), "reach"_a, "threads"_a);
+}
+
+}  // namespace
+
+void bind_alignment(nb::module_& m) {
+  using namespace nb::literals;
+  bind_surface_cloud(m);
   using Features = Array<const float, nb::shape<-1, kFeature>>;
   m.def("point_features",
         [](SurfaceCloud& cloud, size_t level, double radius, int threads) {

@@ -118,13 +118,10 @@ void bind_records(nb::module_& m) {
       .def_prop_ro("made", list(&CliqueTable::made), nb::rv_policy::move);
 }
 
-}  // namespace
-
-void bind_graph_tree(nb::module_& m) {
+// What the tree is of.
+void bind_contents(nb::class_<SharedTree>& bound) {
   using namespace nb::literals;
-  bind_records(m);
-  nb::class_<SharedTree>(m, "BayesTree")
-      .def(nb::init<>())
+  bound.def(nb::init<>())
       .def("add_variables", [](SharedTree& t, int manifold, int dof, const Doubles& packed) {
              return to_array(t.call([&](BayesTree& tree) {
                return tree.add_variables(static_cast<Manifold>(manifold), dof, span_of(packed));
@@ -133,7 +130,7 @@ void bind_graph_tree(nb::module_& m) {
       .def("hold", [](SharedTree& t, const Indices& v) { t.call([&](BayesTree& tree) { tree.hold(span_of(v)); }); },
            "variables"_a.noconvert())
       .def("add_kind", &add_kind, "type"_a, "manifolds"_a.noconvert(), "dofs"_a.noconvert(), "rows"_a, "noise"_a, "kernel"_a,
-           "width"_a, "measurement"_a = kAnySize)
+           "width"_a, "measurement"_a)
       .def("add_factors", [](SharedTree& t, int kind, const Indices& variables, const Doubles& measurement, const Doubles& noise) {
              return to_array(t.call([&](BayesTree& tree) {
                return tree.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise));
@@ -147,8 +144,13 @@ void bind_graph_tree(nb::module_& m) {
            }, "factors"_a.noconvert())
       .def("weigh_factors", [](SharedTree& t, const Indices& f, const Doubles& w) {
              t.call([&](BayesTree& tree) { tree.weigh_factors(span_of(f), span_of(w)); });
-           }, "factors"_a.noconvert(), "weights"_a.noconvert())
-      .def("relinearize", [](SharedTree& t, double threshold, size_t max, bool farthest_first) {
+           }, "factors"_a.noconvert(), "weights"_a.noconvert());
+}
+
+// One update, step by step, and what leaves.
+void bind_update(nb::class_<SharedTree>& bound) {
+  using namespace nb::literals;
+  bound.def("relinearize", [](SharedTree& t, double threshold, size_t max, bool farthest_first) {
              return t.call([&](BayesTree& tree) { return tree.relinearize(threshold, max, farthest_first); });
            }, "threshold"_a, "max"_a, "farthest_first"_a)
       .def("find_fluid", [](SharedTree& t, double threshold) {
@@ -169,8 +171,13 @@ void bind_graph_tree(nb::module_& m) {
       .def("leave", [](SharedTree& t, const Indices& v) { t.call([&](BayesTree& tree) { tree.leave(span_of(v)); }); },
            "variables"_a.noconvert())
       .def("drop_left", [](SharedTree& t) { return to_array(t.call([](BayesTree& tree) { return tree.drop_left(); })); })
-      .def("counts", [](SharedTree& t) { return t.look([](BayesTree& tree) { return tree.counts(); }); })
-      .def("factors_of", [](SharedTree& t, int32_t v) {
+      .def("counts", [](SharedTree& t) { return t.look([](BayesTree& tree) { return tree.counts(); }); });
+}
+
+// What the tree says.
+void bind_answers(nb::class_<SharedTree>& bound) {
+  using namespace nb::literals;
+  bound.def("factors_of", [](SharedTree& t, int32_t v) {
              return to_array(t.call([&](BayesTree& tree) { return tree.factors_of(v); }));
            }, "variable"_a)
       .def("held", [](SharedTree& t, int32_t v) { return t.look([&](BayesTree& tree) { return tree.held(v); }); },
@@ -205,6 +212,16 @@ void bind_graph_tree(nb::module_& m) {
       .def_prop_ro("waiting", number(&BayesTree::waiting))
       .def_prop_ro("fluid", number(&BayesTree::fluid))
       .def_prop_ro("deferred", number(&BayesTree::deferred));
+}
+
+}  // namespace
+
+void bind_graph_tree(nb::module_& m) {
+  bind_records(m);
+  nb::class_<SharedTree> bound(m, "BayesTree");
+  bind_contents(bound);
+  bind_update(bound);
+  bind_answers(bound);
 }
 
 }  // namespace heliograph

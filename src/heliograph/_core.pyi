@@ -305,7 +305,7 @@ class BayesTree:
         noise: int,
         kernel: int,
         width: float,
-        measurement: int = -1,
+        measurement: int,
     ) -> int: ...
     def add_factors(
         self,

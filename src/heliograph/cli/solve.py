@@ -77,6 +77,23 @@ class _Task:
     notes: list[str] = field(default_factory=list)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Request:
+    """What the command line asked for."""
+
+    graph: Path
+    output: Path | None
+    plot: Path | None
+    solver: Solver
+    init: Init
+    robust: str | None
+    reading: dict[str, Any]
+    limits: dict[str, Any]
+    steps: dict[str, Any]
+    threads: int
+    json: bool
+
+
 def solve(
     graph: Annotated[Path, typer.Argument(metavar="GRAPH", help="A g2o or TORO file, or an archive of save_graph.")],
     output: Annotated[
@@ -125,38 +142,63 @@ def solve(
     json: options.Json = False,
 ) -> None:
     """Find the poses that a pose graph makes most likely."""
-    from heliograph.errors import ConfigError
-    from heliograph.graph import ISAM2Settings, pose_graph_of
-    from heliograph.graph.files.g2o import check_toro
-
-    kernel = None if robust is None else parse_robust(robust)
-    limits = _limits(solver, tolerance, max_iterations)
-    for path in (output, plot):
-        _check_folder(path)
-    if solver is Solver.isam2:
-        if init is Init.chordal:
-            raise ConfigError("--init chordal is for the other solvers: isam2 starts poses from its own estimate")
-        init = Init.odometry
     reading = {
         "repair_information": repair_information.value if repair_information else "",
         "missing_information": missing_information.value if missing_information else "",
         "skip_unknown": skip_unknown,
     }
-    task = _task(graph, init, kernel, reading)
-    if output is not None and output.suffix in _TORO:
-        check_toro(task.file or pose_graph_of(task.graph, task.values))
+    steps = {"relinearize_skip": skip, "relinearize_threshold": threshold, "wildfire": wildfire}
+    limits = _limits(solver, tolerance, max_iterations)
+    request = _Request(
+        graph=graph, output=output, plot=plot, solver=solver, init=init, robust=robust, reading=reading,
+        limits=limits, steps=steps, threads=threads, json=json,
+    )  # fmt: skip
+    facts = _solved(request)
+    typer.echo(jsonlib.dumps(facts, allow_nan=False) if json else "\n".join(_lines(facts)))
+
+
+def _solved(request: _Request) -> dict[str, Any]:
+    """Read, solve and write; notes and warnings go to standard error."""
+    from heliograph.graph import ISAM2Settings
+
+    solver, init = request.solver, request.init
+    kernel = None if request.robust is None else parse_robust(request.robust)
+    for path in (request.output, request.plot):
+        _check_folder(path)
+    if solver is Solver.isam2:
+        init = _replayed(init)
+    task = _task(request.graph, init, kernel, request.reading)
+    _check_output(task, request.output)
     for note in task.notes:
         print(f"note: {note}", file=sys.stderr)
-    settings = ISAM2Settings(relinearize_skip=skip, relinearize_threshold=threshold, wildfire=wildfire)
     initial = "chordal" if init is Init.chordal else "auto"
-    solution = _minimise(task, solver, settings, limits, initial=initial, threads=threads)
-    if json and init is not Init.chordal and solution.start != "given" and solver is not Solver.isam2:
+    settings = ISAM2Settings(**request.steps)
+    solution = _minimise(task, solver, settings, request.limits, initial=initial, threads=request.threads)
+    if request.json and init is not Init.chordal and solution.start != "given" and solver is not Solver.isam2:
         print(f"note: start: {solution.start}", file=sys.stderr)
-    written = _write(task, solution, output, plot, title=graph.stem)
-    facts = _facts(graph, task, solution, solver, robust, threads, written)
+    written = _write(task, solution, request.output, request.plot, title=request.graph.stem)
+    facts = _facts(request.graph, task, solution, solver, request.robust, request.threads, written)
     for warning in facts["warnings"]:
         print(f"warning: {warning}", file=sys.stderr)
-    typer.echo(jsonlib.dumps(facts, allow_nan=False) if json else "\n".join(_lines(facts)))
+    return facts
+
+
+def _replayed(init: Init) -> Init:
+    """Return the start of an incremental solver."""
+    from heliograph.errors import ConfigError
+
+    if init is Init.chordal:
+        raise ConfigError("--init chordal is for the other solvers: isam2 starts poses from its own estimate")
+    return Init.odometry
+
+
+def _check_output(task: _Task, output: Path | None) -> None:
+    """See before the work whether the graph can be written in the format asked for."""
+    from heliograph.graph import pose_graph_of
+    from heliograph.graph.files.g2o import check_toro
+
+    if output is not None and output.suffix in _TORO:
+        check_toro(task.file or pose_graph_of(task.graph, task.values))
 
 
 def _limits(solver: Solver, tolerance: float | None, max_iterations: int | None) -> dict[str, Any]:

@@ -124,12 +124,10 @@ class ISAM2:
         policy.end_update()
         if leaving is not None:
             self.marginalize(remove_variables)
-        pending = state.pending()
         return tally.result(
             factors=added,
-            settled=not pending,
             converged=iterate is not None and state.converged(iterate),
-            pending=pending,
+            pending=state.pending(),
             deferred=state.native.deferred,
             cost_before=before,
             cost_after=state.cost() if costs else None,
