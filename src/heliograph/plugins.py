@@ -7,9 +7,9 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from heliograph.errors import ConfigError, closest
+from heliograph.errors import ConfigError, HeliographError, closest
 
-__all__ = ["find_plugin", "import_named", "installed_plugins", "plugin_names"]
+__all__ = ["call_plugin", "check_plugin", "find_plugin", "import_named", "installed_plugins", "plugin_names"]
 
 
 def plugin_names(registered: Iterable[str], group: str) -> list[str]:
@@ -72,3 +72,42 @@ def import_named(kind: str, reference: str) -> Any:  # noqa: ANN401 - whatever t
         cause = f"{type(error).__name__}: {error}"
         raise ConfigError(f"{kind} '{reference}' cannot be imported ({cause}); check module and name") from error
     return found
+
+
+def call_plugin(kind: str, name: str, function: Any, *arguments: object) -> Any:  # noqa: ANN401 - a user's function
+    """Call what `find_plugin` returned; a failure of a user's function is told as such, one of ours is not hidden.
+
+    Raises
+    ------
+    ConfigError
+        It is no function, or fails with anything but a `HeliographError`.
+    """
+    if not callable(function):
+        raise ConfigError(f"{kind} '{name}' is no function that makes one, but a {type(function).__name__}")
+    if str(getattr(function, "__module__", "")).partition(".")[0] == "heliograph":
+        return function(*arguments)
+    try:
+        return function(*arguments)
+    except HeliographError:
+        raise
+    except Exception as error:  # a user's function may fail in any way
+        cause = f"{type(error).__name__}: {error}"
+        raise ConfigError(
+            f"{kind} '{name}' could not be made ({cause}); it was called with {len(arguments)} arguments"
+        ) from error
+
+
+def check_plugin(kind: str, name: str, thing: object, protocol: type) -> None:
+    """Assert that what a user's function made has all that a protocol names.
+
+    Raises
+    ------
+    ConfigError
+        Something is missing; the message names it.
+    """
+    members = {*getattr(protocol, "__annotations__", {}), *vars(protocol)}
+    missing = sorted(member for member in members if not member.startswith("_") and not hasattr(thing, member))
+    if missing:
+        raise ConfigError(
+            f"{kind} '{name}' made a {type(thing).__name__} without {', '.join(missing)}; see heliograph.testing"
+        )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from heliograph.errors import ConfigError, DataError, FormatError
 from heliograph.io.raw import RawMessage, RawSource, TopicInfo
-from heliograph.plugins import find_plugin, installed_plugins, plugin_names
+from heliograph.plugins import call_plugin, check_plugin, find_plugin, installed_plugins, plugin_names
 
 __all__ = [
     "OPENERS",
@@ -155,14 +155,15 @@ def open_raw_source(paths: Sequence[Path], *, reader: str = "") -> RawSource:
     FormatError
         A path does not exist, is empty, or is no recording that any reader, or the one named, knows.
     ConfigError
-        No reader has this name (the message names the nearest), or it cannot be imported.
+        No reader has this name (the message names the nearest), it cannot be imported, fails, or makes no source.
     """
     _check_paths(paths)
     names = [reader] if reader else [*OPENERS, *sorted({*installed_plugins(GROUP)} - {*OPENERS})]
     for name in names:
         opener: Opener = find_plugin("reader", name, OPENERS, GROUP)
-        source = opener(paths)
+        source: RawSource | None = call_plugin("reader", name, opener, paths)
         if source is not None:
+            check_plugin("reader", name, source, RawSource)
             return source
     known = "ROS 1 or 2 bag, MCAP, pcap, KITTI folder, folder of PCD or PLY, IMU table"
     reason = (

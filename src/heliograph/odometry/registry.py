@@ -9,7 +9,7 @@ from heliograph.data import Rig
 from heliograph.errors import ConfigError
 from heliograph.odometry.filter.odometry import FilterOdometry
 from heliograph.odometry.protocol import Odometry
-from heliograph.plugins import find_plugin, plugin_names
+from heliograph.plugins import call_plugin, check_plugin, find_plugin, plugin_names
 
 __all__ = ["ODOMETRIES", "OdometryFactory", "find_odometry", "make_odometry", "odometry_names", "register_odometry"]
 
@@ -89,9 +89,11 @@ def make_odometry(config: RunConfig, rig: Rig, sensors: frozenset[str], threads:
     Raises
     ------
     ConfigError
-        Unknown name, or no usable sensor.
+        Unknown name, no usable sensor, or a user's factory that fails or makes no odometry.
     """
     factory = find_odometry(config.odometry)
     if not sensors & {"lidar", "imu"}:
         raise ConfigError("neither a LiDAR nor an IMU to work with; see --sensors")
-    return factory(config, rig, sensors, threads)
+    odometry: Odometry = call_plugin("odometry", config.odometry, factory, config, rig, sensors, threads)
+    check_plugin("odometry", config.odometry, odometry, Odometry)
+    return odometry

@@ -32,7 +32,9 @@ def test_registered_odometry_is_made_with_what_the_run_has():
 
 def test_odometry_of_a_module_is_imported():
     register_odometry("text", "fakes:FakeOdometry")
-    with pytest.raises(TypeError):  # found and called, with arguments that this class does not take
+    with pytest.raises(
+        ConfigError, match="TypeError"
+    ):  # found and called, with arguments that this class does not take
         make_odometry(RunConfig(odometry="text"), RIG, BOTH, 1)
     with pytest.raises(ConfigError, match="is no function that makes one, but a int"):
         make_odometry(RunConfig(odometry="fakes:PERIOD_NS"), RIG, BOTH, 1)
@@ -49,3 +51,30 @@ def test_odometry_wrong_names_are_told():
 def test_odometry_without_a_sensor_is_refused():
     with pytest.raises(ConfigError, match="neither a LiDAR nor an IMU"):
         make_odometry(RunConfig(), RIG, frozenset({"gnss"}), 1)
+
+
+def broken(*_arguments):
+    raise KeyError("no such thing")
+
+
+@pytest.mark.parametrize(
+    ("factory", "words"),
+    [
+        (lambda *_: 5, r"odometry 'mine' made a int without add, events, finish, leveling, start"),
+        (broken, r"odometry 'mine' could not be made \(KeyError: 'no such thing'\)"),
+        (lambda: None, r"could not be made \(TypeError: .*it was called with 4 arguments"),
+    ],
+)
+def test_factory_that_makes_no_odometry_is_told_in_one_line(factory, words):
+    register_odometry("mine", factory)
+    with pytest.raises(ConfigError, match=words):
+        make_odometry(RunConfig(odometry="mine"), RIG, BOTH, 1)
+
+
+def test_defects_of_our_own_factory_are_not_hidden(monkeypatch):
+    def fails(*_arguments, **_settings):
+        raise KeyError("a defect")
+
+    monkeypatch.setattr("heliograph.odometry.registry.FilterOdometry", fails)
+    with pytest.raises(KeyError, match="a defect"):
+        make_odometry(RunConfig(), RIG, BOTH, 1)
