@@ -7,7 +7,6 @@ from heliograph.errors import ConfigError, FormatError
 from heliograph.io import OPENERS, reader_names, register_reader
 from heliograph.io.registry import open_raw_source
 
-
 PLUGIN = """
 from types import SimpleNamespace
 
