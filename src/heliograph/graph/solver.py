@@ -9,7 +9,6 @@ from heliograph.errors import GraphError
 from heliograph.graph.batch.outcome import Observer
 from heliograph.graph.batch.solution import POOR_COST, Solution
 from heliograph.graph.batch.solve import solve as solve_batch
-from heliograph.graph.incremental.replay import replay, replay_steps
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.values import Values
 from heliograph.graph.problem.settings import SolverSettings
@@ -105,6 +104,8 @@ def _doubtful(found: Solution, graph: FactorGraph) -> bool:
 
 def _replayed(graph: FactorGraph, values: Values) -> Values | None:
     """Return what incremental smoothing finds, or None where the graph cannot be replayed."""
+    from heliograph.graph.incremental.replay import replay, replay_steps  # few graphs need it
+
     try:
         smoother = replay(replay_steps(graph, values)).smoother
         smoother.update(iterate=_CONVERGED)

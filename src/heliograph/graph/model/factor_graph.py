@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import bisect
 from collections import Counter
-from collections.abc import Callable, Iterator
-from typing import ClassVar, NamedTuple
+from collections.abc import Iterator
+from importlib import import_module
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,9 +56,6 @@ class FactorGraph:
     """
 
     __slots__ = ("_added", "_count", "_firsts", "_fixed")
-
-    # Set by `problem`, which stands above this module: a graph is data, and what it costs takes the native side.
-    evaluator: ClassVar[Callable[[FactorGraph, Values], NDArray[np.float64]]]
 
     def __init__(self) -> None:
         self._added: list[Added] = []
@@ -150,7 +148,9 @@ class FactorGraph:
         GraphError
             The graph does not fit the values.
         """
-        return FactorGraph.evaluator(self, values)
+        # A graph is data; what it costs takes the native side, which stands a storey higher.
+        costs: NDArray[np.float64] = import_module("heliograph.graph.problem.problem").factor_costs(self, values)
+        return costs
 
     def error(self, values: Values) -> float:
         """Return the sum of `errors`: half of what `Solution.cost` says, as gtsam counts it."""

@@ -17,7 +17,7 @@ from heliograph.graph.model.values import Values
 from heliograph.graph.problem.resolve import ResolvedGroup, resolve, resolve_fixed
 from heliograph.graph.problem.settings import ORDERINGS
 
-__all__ = ["Cost", "Problem"]
+__all__ = ["Cost", "Problem", "factor_costs"]
 
 
 class Cost(NamedTuple):
@@ -224,7 +224,7 @@ class Problem:
         )
 
 
-def _errors(graph: FactorGraph, values: Values) -> Array:
+def factor_costs(graph: FactorGraph, values: Values) -> Array:
     """Return what each factor costs, (N,); see `FactorGraph.errors`."""
     problem, out = Problem(graph, values), np.zeros(len(graph))
     problem.cost()
@@ -232,6 +232,3 @@ def _errors(graph: FactorGraph, values: Values) -> Array:
         squared = problem.native.residuals(index)[1]
         out[group.numbers] = 0.5 * squared if group.kernel is None else group.kernel.cost(np.sqrt(squared))
     return out
-
-
-FactorGraph.evaluator = staticmethod(_errors)
