@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from heliograph.config import OutputConfig
 from heliograph.data import ScanResult
 from heliograph.errors import OutputError
+from heliograph.io.prefetch import prefetch
 from heliograph.lie import se3
 from heliograph.maps import GlobalMap
 from heliograph.output.background import Background
@@ -21,6 +22,7 @@ from heliograph.output.submaps import Submap, SubmapFile, read_submaps
 __all__ = ["MapWriter"]
 
 _BLOCK = 8192  # points transformed at once
+_READ_AHEAD = 2  # submaps
 
 
 class MapWriter:
@@ -146,7 +148,9 @@ class MapWriter:
 
     def _submaps(self) -> Iterator[Submap]:
         """Yield those on disk, then what has come since."""
-        yield from read_submaps(self.path)
+        # With a second thread the next one is read while this one is merged.
+        on_disk = read_submaps(self.path)
+        yield from on_disk if self._threads == 1 else prefetch(on_disk, _READ_AHEAD)
         if self._keyframe is not None:
             yield self._unfinished(self._keyframe)
 
