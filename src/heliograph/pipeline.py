@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
+from pathlib import Path
 
 import numpy as np
 
@@ -13,10 +15,13 @@ from heliograph.calibration import align_mounting
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Message, Rig, Scan, ScanResult, Source
 from heliograph.errors import CalibrationError, ConfigError, DataError
+from heliograph.io.files.poses import is_pose_file, read_poses
 from heliograph.io.prefetch import prefetch
-from heliograph.odometry import Odometry, make_odometry
+from heliograph.odometry import Odometry, PoseFileOdometry, make_odometry
+from heliograph.output.final_poses import FinalPoses
 from heliograph.output.sink import Sink
 from heliograph.output.summary import RunSummary, Tally, judge
+from heliograph.slam import NoSlam, SlamSession
 
 __all__ = ["run", "sensors_in_use", "thread_count"]
 
@@ -29,6 +34,7 @@ def run(
     stop: Callable[[], bool] = lambda: False,
     odometry: Odometry | None = None,
     opening_seconds: float = 0.0,
+    folder: Path | None = None,
 ) -> RunSummary:
     """Estimate the trajectory of a recording and hand each scan's result to the sinks.
 
@@ -45,6 +51,8 @@ def run(
         An estimator of one's own; by default the one that ``config.odometry`` names.
     opening_seconds : float
         What opening the recording took, for the account [s].
+    folder : Path, optional
+        Where keyframes and the graph's files are kept; without one they are gone when the run has ended.
 
     Raises
     ------
@@ -56,23 +64,40 @@ def run(
     account = Account(sinks, opening_seconds)
     clock, sensors, threads = account.clock, sensors_in_use(recording, config), thread_count(config)
     rig, found = mounted(recording, config, sensors, threads, clock, stop)  # 0. align the sensors where nothing tells
-    odometry = odometry or make_odometry(config, rig, sensors, threads)
-    with account.until_the_end(), closing(messages(recording, sensors, threads)) as stream:
-        for message in clock.each("reading", stream):  # 1. the recording's messages, in causal order
-            account.observe(message)
+    odometry = odometry or chosen_odometry(config, rig, sensors, threads)
+    with back_end(folder, config, sensors) as slam:
+        with account.until_the_end(), closing(messages(recording, sensors, threads)) as stream:
+            for message in clock.each("reading", stream):  # 1. the recording's messages, in causal order
+                account.observe(message, slam)
+                with clock("odometry"):
+                    results = odometry.add(message)  # 2. none, one or several scans are ready
+                with clock("graph"):
+                    slam.add(results)  # 3. keyframes, and the graph of them
+                account.add(results)  # 4. count and write them
+                if stop():
+                    account.interrupted = True
+                    break
             with clock("odometry"):
-                results = odometry.add(message)  # 2. none, one or several scans are ready
-            account.add(results)  # 3. count and write them
-            if stop():
-                account.interrupted = True
-                break
-        with clock("odometry"):
-            results = odometry.finish()  # 4. nothing more comes: the scans that were waiting for it
-        account.add(results)
-    account.tally.add_events((*unsolved(recording.events, found), *odometry.events))
-    summary = account.conclude(sensors, odometry)  # 5. how good is it
-    account.close(summary)  # 6. every sink ends with what it has; a failure goes on from here
+                results = odometry.finish()  # 5. nothing more comes: the scans that were waiting for it
+            with clock("graph"):
+                slam.add(results)
+            account.add(results)
+        account.tally.add_events((*unsolved(recording.events, found), *odometry.events, *slam.events))
+        summary = account.conclude(sensors, odometry, slam)  # 6. how good is it, and where has it been after all
+    account.close(summary)  # 7. every sink ends with what it has; a failure goes on from here
     return summary
+
+
+@contextmanager
+def back_end(folder: Path | None, config: RunConfig, sensors: frozenset[str]) -> Iterator[SlamSession | NoSlam]:
+    """Yield the back-end of a run; without a LiDAR, or where it is switched off, one that does nothing."""
+    if not config.slam.graph or "lidar" not in sensors:
+        yield NoSlam()
+    elif folder is not None:
+        yield SlamSession(folder, config)
+    else:
+        with tempfile.TemporaryDirectory(prefix="heliograph_") as path:
+            yield SlamSession(Path(path), config)
 
 
 def mounted(
@@ -102,6 +127,16 @@ def mounted(
     with clock("mounting"):
         alignment = align_mounting(from_the_start, config, threads=threads)
     return alignment.rig, alignment.events
+
+
+def chosen_odometry(config: RunConfig, rig: Rig, sensors: frozenset[str], threads: int) -> Odometry:
+    """Return the odometry that ``config.odometry`` names, or the poses of another system where it names a file."""
+    path = Path(config.odometry)
+    if not is_pose_file(config.odometry):
+        return make_odometry(config, rig, sensors, threads)
+    body = "imu" if "imu" in sensors else "lidar"
+    trajectory = read_poses(path, stamped=True, frame="odom", body=body)
+    return PoseFileOdometry(trajectory, config, rig.T_imu_lidar if "imu" in sensors else np.eye(4))
 
 
 def unsolved(events: Sequence[Event], found: Sequence[Event]) -> list[Event]:
@@ -209,8 +244,9 @@ class Account:
         except Exception as error:
             self.failure = error
 
-    def observe(self, message: Message) -> None:
-        """Show a message to the sinks."""
+    def observe(self, message: Message, slam: SlamSession | NoSlam) -> None:
+        """Show a message to the back-end and to the sinks."""
+        slam.observe(message)
         with self.clock("writing"):
             for sink in self._sinks:
                 sink.observe(message)
@@ -223,9 +259,14 @@ class Account:
                 for sink in self._sinks:
                     sink.add(result)
 
-    def conclude(self, sensors: frozenset[str], odometry: Odometry) -> RunSummary:
-        """Return the run's summary: what was counted, the verdict, the timings, and which way is up after all."""
-        tally, failure = self.tally, self.failure
+    def conclude(self, sensors: frozenset[str], odometry: Odometry, slam: SlamSession | NoSlam) -> RunSummary:
+        """Return the run's summary: what was counted, the verdict, the timings, and where it has been after all."""
+        tally, graph, moved = self.tally, None, None
+        try:
+            graph, moved = slam.close(), slam.moved()
+        except Exception as error:
+            self.failure = self.failure or error
+        failure = self.failure
         T_map_odom = np.asarray(odometry.leveling(), dtype=np.float64)
         status, reasons = judge(tally.statuses, sensors=sensors, held=tally.held, interrupted=self.interrupted)
         return tally.summary(
@@ -237,6 +278,8 @@ class Account:
             wall_seconds=self.clock.wall,
             seconds=dict(self.clock.seconds),
             T_map_odom=T_map_odom,
+            final_poses=None if moved is None else FinalPoses(**moved._asdict()),
+            graph=graph,
             start=odometry.start,
             failure="" if failure is None else str(failure) or type(failure).__name__,
         )

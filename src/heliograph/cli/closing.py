@@ -24,7 +24,8 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
     timings, weakest = facts["timings"], facts["weakest"]
     parts = ", ".join(
         f"{name} {1e3 * timings.get(f'{name}_s', 0.0) / facts['scans']:.1f}"
-        for name in ("reading", "odometry", "writing")
+        for name in ("reading", "odometry", "graph", "writing")
+        if f"{name}_s" in timings
     )
     memory = "" if facts["peak_memory_mb"] is None else f"; peak memory {facts['peak_memory_mb']:.0f} MB"
     lines = [
@@ -38,10 +39,21 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
             f"worst weak direction: ({direction}) in the map frame at scan {weakest['scan']}, "
             f"eigenvalue {weakest['eigenvalue']:.3f} (1/3 would be even in all directions)"
         )
+    if "graph" in facts:
+        lines.append(_graph_line(facts["graph"]))
     lines.append(f"written to {folder}: {', '.join(facts['files'])}")
     lines.append(f"report: {folder / 'report.html'}")
     lines.append(f"status: {facts['status']}" + "".join(f"; {reason}" for reason in facts["reasons"]))
     return lines
+
+
+def _graph_line(graph: Mapping[str, Any]) -> str:
+    loops = graph["loops"]
+    line = f"{graph['keyframes']} keyframes; "
+    if not loops["accepted"]:
+        return line + f"no loop closed ({loops['candidates']} candidates)"
+    revoked = f", {loops['revoked']} taken back" if loops["revoked"] else ""
+    return line + f"{loops['accepted']} loops of {loops['candidates']} candidates{revoked}; moved by up to {graph['moved_m']:.3f} m"
 
 
 def warning_lines(facts: Mapping[str, Any]) -> list[str]:

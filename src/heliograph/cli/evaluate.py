@@ -61,18 +61,9 @@ def evaluate(
 
 def read_trajectory(path: Path, in_folder: str) -> Trajectory:
     """Read a TUM or KITTI file, told apart by the numbers in a row; of a folder, the file named ``in_folder``."""
-    from heliograph.errors import FormatError
-    from heliograph.io.files.tum import read_kitti, read_tum
+    from heliograph.io.files.poses import read_poses
 
-    if path.is_dir():
-        path = path / in_folder
-    try:
-        with path.open(encoding="utf-8", errors="replace") as file:
-            rows = (line.partition("#")[0].replace(",", " ").split() for line in file)
-            width = next((len(row) for row in rows if row), 0)
-    except OSError as error:
-        raise FormatError(path, f"cannot be read ({error.strerror}); give a TUM or KITTI trajectory file") from error
-    return read_kitti(path) if width == 12 else read_tum(path)
+    return read_poses(path / in_folder if path.is_dir() else path)
 
 
 def evaluation_lines(result: Evaluation) -> list[str]:

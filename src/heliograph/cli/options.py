@@ -85,6 +85,7 @@ def build_config(
     run: dict[str, Any] | None = None,
     input: dict[str, Any] | None = None,
     output: dict[str, Any] | None = None,
+    slam: dict[str, Any] | None = None,
 ) -> RunConfig:
     """Return the defaults, overlaid with the file, then ``--set``, then the options that were given (not None).
 
@@ -98,7 +99,7 @@ def build_config(
 
     config = RunConfig() if config_file is None else load_config(config_file)
     config = apply_overrides(config, settings or [])
-    sections = {"input": _given(input), "output": _given(output)}
+    sections = {"input": _given(input), "output": _given(output), "slam": _given(slam)}
     changed = {name: replace(getattr(config, name), **values) for name, values in sections.items() if values}
     config = replace(config, **changed, **_given(run))
     if ":" in config.odometry + config.input.reader and (here := str(Path.cwd())) not in sys.path:

@@ -29,7 +29,7 @@ def run(
     ] = None,
     overwrite: options.Overwrite = False,
     reader: options.Reader = None,
-    odometry: Annotated[str | None, typer.Option("--odometry", metavar="NAME", help="Estimator.")] = None,
+    odometry: Annotated[str | None, typer.Option("--odometry", metavar="NAME|FILE", help="Estimator, or poses of another system.")] = None,
     sensors: Annotated[
         str | None,
         typer.Option("--sensors", metavar="LIST", help="lidar,imu | lidar | imu; default: what the recording holds."),
@@ -44,6 +44,8 @@ def run(
         str | None,
         typer.Option("--frame", metavar="NAME", help="Body of the poses: imu, lidar or a frame of the recording."),
     ] = None,
+    no_graph: Annotated[bool, typer.Option("--no-graph", help="Odometry alone: no keyframes, no graph.")] = False,
+    no_loops: Annotated[bool, typer.Option("--no-loops", help="Look for no loops.")] = False,
     map_format: Annotated[MapFormat | None, typer.Option("--map-format", help="Format of the map file.")] = None,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
@@ -56,6 +58,7 @@ def run(
         settings,
         run={"odometry": odometry, "sensors": options.sensor_list(sensors), "threads": threads},
         input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration, reader),
+        slam={"graph": False if no_graph else None, "loops": False if no_loops else None},
         output={"body": frame, "map_format": map_format and map_format.value},
     )
     folder, interrupted = execute(recordings, resolved, output, overwrite=overwrite, progress=not quiet)
@@ -81,9 +84,11 @@ def execute(
     from heliograph.cli.progress import ProgressSink
     from heliograph.errors import OutputError
     from heliograph.io import open_recording
+    from heliograph.io.files.poses import is_pose_file
     from heliograph.odometry import find_odometry
 
-    find_odometry(config.odometry)  # a wrong name is told before a recording is opened
+    if not is_pose_file(config.odometry):
+        find_odometry(config.odometry)  # a wrong name is told before a recording is opened
     began = time.perf_counter()
     with interruptible() as stop, open_recording(recordings, config.input, sensors=config.sensors) as recording:
         pipeline.sensors_in_use(recording, config)  # a wrong choice is told before a folder is made
@@ -91,7 +96,9 @@ def execute(
             opening = time.perf_counter() - began
             bar = [ProgressSink(recording.total_scans, folder.name)] if progress else []
             try:
-                summary = pipeline.run(recording, config, sinks=[*bar, folder], stop=stop, opening_seconds=opening)
+                summary = pipeline.run(
+                    recording, config, sinks=[*bar, folder], stop=stop, opening_seconds=opening, folder=folder.path
+                )
             except OutputError as error:
                 done = folder.record.summary.scans if folder.record else 0
                 raise OutputError(f"{error}; what could be saved of {done} scans is in {folder.path}") from error

@@ -3,9 +3,11 @@
 from heliograph.config.calibration import CalibrationConfig
 from heliograph.config.checks import CheckConfig
 from heliograph.config.files import InputConfig, OutputConfig
+from heliograph.config.loops import LoopConfig, PlacesConfig
 from heliograph.config.odometry import CloudConfig, FilterConfig, ImuConfig, MapConfig
 from heliograph.config.registration import AlignConfig, GlobalAlignConfig, KdTreeMapConfig
 from heliograph.config.run import RunConfig
+from heliograph.config.slam import SlamConfig
 
 __all__ = [
     "AlignConfig",
@@ -17,7 +19,10 @@ __all__ = [
     "ImuConfig",
     "InputConfig",
     "KdTreeMapConfig",
+    "LoopConfig",
     "MapConfig",
     "OutputConfig",
+    "PlacesConfig",
     "RunConfig",
+    "SlamConfig",
 ]

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from heliograph.config.calibration import CalibrationConfig
 from heliograph.config.checks import CheckConfig
 from heliograph.config.files import InputConfig, OutputConfig
+from heliograph.config.loops import LoopConfig, PlacesConfig
 from heliograph.config.odometry import CloudConfig, FilterConfig, ImuConfig, MapConfig
+from heliograph.config.slam import SlamConfig
 from heliograph.config_checks import check_choice, check_range
 
 __all__ = ["RunConfig"]
@@ -37,6 +39,9 @@ class RunConfig:
     map: MapConfig = field(default_factory=MapConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
+    slam: SlamConfig = field(default_factory=SlamConfig)
+    places: PlacesConfig = field(default_factory=PlacesConfig)
+    loops: LoopConfig = field(default_factory=LoopConfig)
     check: CheckConfig = field(default_factory=CheckConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
 

@@ -3,8 +3,10 @@
 from heliograph.data.clock import ImuClock
 from heliograph.data.event import Event
 from heliograph.data.gnss import GnssFix
+from heliograph.data.graph_account import GraphAccount
 from heliograph.data.imu import ImuBatch, ImuNoise
 from heliograph.data.imu_record import ImuRecord
+from heliograph.data.keyframe import Keyframe
 from heliograph.data.nav_state import NavState
 from heliograph.data.online_calibration import OnlineCalibration
 from heliograph.data.result import ScanResult, ScanStatus
@@ -17,10 +19,12 @@ from heliograph.data.trajectory import Trajectory
 __all__ = [
     "Event",
     "GnssFix",
+    "GraphAccount",
     "ImuBatch",
     "ImuClock",
     "ImuNoise",
     "ImuRecord",
+    "Keyframe",
     "Message",
     "NavState",
     "OnlineCalibration",

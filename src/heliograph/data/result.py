@@ -76,6 +76,9 @@ class ScanResult:
         In [0, 1] for translation.
     weak_direction : (3,) float64
         Unit vector along the least observed translation, odom frame.
+    lidar_information : (6, 6) float64
+        What the scan alone told of rotation (body) and position (odom) against the map, without the prediction; zero
+        where nothing matched.
     timings : mapping
         Stage name -> milliseconds.
     events : tuple of Event
@@ -110,6 +113,7 @@ class ScanResult:
     eigenvalues_rotation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     eigenvalues_translation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     weak_direction: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    lidar_information: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
     timings: Mapping[str, float] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     calibration: OnlineCalibration | None = None

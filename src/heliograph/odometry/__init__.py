@@ -2,6 +2,7 @@
 
 from heliograph.odometry.filter.odometry import FilterOdometry
 from heliograph.odometry.pose_result import pose_result
+from heliograph.odometry.poses_of_file import PoseFileOdometry
 from heliograph.odometry.protocol import Odometry
 from heliograph.odometry.registry import (
     ODOMETRIES,
@@ -17,6 +18,7 @@ __all__ = [
     "FilterOdometry",
     "Odometry",
     "OdometryFactory",
+    "PoseFileOdometry",
     "find_odometry",
     "make_odometry",
     "odometry_names",

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from heliograph.data import StartAccount
+from heliograph.data import GraphAccount, StartAccount
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 
@@ -90,6 +90,7 @@ def final_facts(
             "eigenvalue": summary.weakest_eigenvalue,
             "direction_map": summary.weakest_direction.tolist(),
         },
+        **({"graph": _graph(summary.graph)} if summary.graph is not None else {}),
         **({"start": _start(summary.start)} if summary.start is not None else {}),
         "warnings": [asdict(event) for event in summary.events],
         "timings": _timings(summary, writer_seconds, closing_seconds),
@@ -101,6 +102,16 @@ def final_facts(
         "files": [path.name for path in files],
     }
     return {key: plain(value) for key, value in account.items()}
+
+
+def _graph(graph: GraphAccount) -> dict[str, Any]:
+    """Return what the back-end made of the run."""
+    account = asdict(graph)
+    return {"keyframes": account.pop("keyframes"), "moved_m": account.pop("moved"), "loops": _without(account, "files")}
+
+
+def _without(account: dict[str, Any], name: str) -> dict[str, Any]:
+    return {key: value for key, value in account.items() if key != name}
 
 
 def _start(start: StartAccount) -> dict[str, Any]:

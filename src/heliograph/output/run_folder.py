@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -33,7 +34,9 @@ _OWN_FORMATS = ("ply", "pcd")  # written without any other package
 _MAPS = ("map.ply", "map.pcd", "map.laz")
 SUBMAPS = "submaps.bin"
 _NO_POINTS = np.zeros((0, 3), dtype=np.float32)
-_OWN = (*FILES, *_MAPS, SUBMAPS, "map.png", "scans.csv", "report.html", "config.toml", "run.json")
+_GRAPH = ("loops.csv", "graph.g2o", "graph.npz")
+_KEYFRAMES = "keyframes"
+_OWN = (*FILES, *_MAPS, *_GRAPH, SUBMAPS, "map.png", "scans.csv", "report.html", "config.toml", "run.json")
 
 
 class RunFolder(Sink):
@@ -146,6 +149,7 @@ class RunFolder(Sink):
             points, intensity = self._map_points(summary)
         table = self._log.table(summary.final)
         self.files += [*self._trajectories.paths, self._log.path]
+        self.files += [self.path / name for name in (summary.graph.files if summary.graph is not None else ())]
         with self._step("trajectory", failures):
             self._trajectories.close(summary.final, summary.T_map_odom)
         with self._step("scans.csv", failures):
@@ -221,17 +225,22 @@ class RunFolder(Sink):
         if self._map is not None:
             self._map.release(keep=True)
 
-    def _remove(self) -> None:
+    def _clear(self) -> None:
         for name in _OWN:
             (self.path / name).unlink(missing_ok=True)
+        keyframes = self.path / _KEYFRAMES
+        if (keyframes / "journal.jsonl").is_file():
+            shutil.rmtree(keyframes, ignore_errors=True)
+
+    def _remove(self) -> None:
+        self._clear()
         if self._created and self.path.is_dir() and not any(self.path.iterdir()):
             self.path.rmdir()
 
     @contextmanager
     def _nothing_left_on_failure(self) -> Iterator[None]:
         """Clear the folder of an earlier run's files, and again if the block fails."""
-        for name in _OWN:
-            (self.path / name).unlink(missing_ok=True)
+        self._clear()
         try:
             yield
         except BaseException:

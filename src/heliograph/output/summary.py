@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
-from heliograph.data import Event, ScanResult, StartAccount
+from heliograph.data import Event, GraphAccount, ScanResult, StartAccount
 from heliograph.output.final_poses import FinalPoses
 
 __all__ = ["RunSummary", "Tally", "fold_events", "judge"]
@@ -66,6 +66,8 @@ class RunSummary:
     final_poses : FinalPoses or None
         Poses of keyframes that a back-end moved; then they take the place of ``T_map_odom``, but for the file of the
         odom frame. None where nothing was moved.
+    graph : GraphAccount or None
+        What the back-end made of the run; None where there was none.
     start : StartAccount or None
         How the odometry began; None where it does not tell.
     failure : str
@@ -90,6 +92,7 @@ class RunSummary:
     events: tuple[Event, ...] = ()
     T_map_odom: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     final_poses: FinalPoses | None = None
+    graph: GraphAccount | None = None
     start: StartAccount | None = None
     failure: str = ""
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.lie import so3
+from heliograph.sim.revisits import campus_course, campus_world, storeys_course, storeys_world
 from heliograph.sim.trajectory import Course
 from heliograph.sim.world import Primitive, SimulatedWorld, Surface, box, cylinder, rectangle
 
@@ -232,11 +233,23 @@ def street(rng: np.random.Generator) -> Place:
     return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=60.0, closed=False))
 
 
+def campus(rng: np.random.Generator) -> Place:
+    """Return two blocks of houses and the streets around them; the street between them is walked twice."""
+    return Place(world=SimulatedWorld(campus_world(rng)), course=campus_course())
+
+
+def storeys(rng: np.random.Generator) -> Place:
+    """Return a building of two equal storeys with three equal corridors each."""
+    return Place(world=SimulatedWorld(storeys_world(rng)), course=storeys_course())
+
+
 PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(
     {
         "aisles": aisles,
+        "campus": campus,
         "level_room": level_room,
         "room": room,
+        "storeys": storeys,
         "street": street,
         "tunnel": tunnel,
         "warehouse": warehouse,

@@ -169,6 +169,19 @@ def _registry() -> dict[str, Scenario]:
         "calibration": Scenario(name="calibration", place="room", walk=short, gait=waved, lidar=indoors),
         "planar": Scenario(name="planar", place="level_room", walk=short, gait=slalom, lidar=indoors),
         "tunnel": Scenario(name="tunnel", place="tunnel", gnss=GnssModel(rate=0.0)),
+        "campus": Scenario(
+            name="campus",
+            place="campus",
+            walk=Walk(speed=2.5),
+            lidar=LidarModel(beams=32, columns=512, max_range=80.0),
+        ),
+        "storeys": Scenario(
+            name="storeys",
+            place="storeys",
+            walk=Walk(speed=1.4),
+            lidar=LidarModel(beams=32, columns=512, elevation_deg=(-30.0, 30.0), max_range=60.0),
+            gnss=GnssModel(rate=0.0),
+        ),
         **{scenario.name: scenario for scenario in _moving_starts()},
     }
 

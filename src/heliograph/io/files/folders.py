@@ -15,13 +15,12 @@ from heliograph.errors import FormatError
 from heliograph.io.files.clouds import CLOUD_SUFFIXES, read_cloud
 from heliograph.io.files.extrinsic import read_extrinsic
 from heliograph.io.files.imu_tables import ImuTable, read_imu_table
-from heliograph.io.files.stamps import is_number, parse_stamps
+from heliograph.io.files.stamps import STAMP_FILES, is_number, parse_stamps
 from heliograph.io.raw import RawCloud, RawImu, RawMessage, RawSource, TopicInfo
 
 __all__ = ["open_cloud_folder"]
 
 _CLOUDS, _IMU = "/points", "/imu"
-_TIMES = ("times.txt", "timestamps.txt", "timestamps.csv", "times.csv", "stamps.txt")
 _IMU_TABLES = ("imu.csv", "imu.txt", "imu_data.csv", "imu/data.csv", "imu/imu.csv", "imu0/data.csv")
 _EXTRINSIC = "extrinsic.toml"
 _SECONDS_AND_NANOSECONDS = re.compile(r"(\d{9,10})[_-](\d{9})")
@@ -104,7 +103,7 @@ class _CloudFolder:
 
     def _stamps(self, clouds: Sequence[Path], imu_path: Path | None) -> list[int]:
         """Return a stamp for each cloud: from a list beside them, from their names, or assumed."""
-        listed = self._find(_TIMES)
+        listed = self._find(STAMP_FILES)
         if listed is not None:
             return _listed_stamps(listed, clouds)
         named = _named_stamps(clouds)
@@ -180,12 +179,24 @@ def _listed_stamps(path: Path, clouds: Sequence[Path]) -> list[int]:
     if rows and not any(is_number(word) for word in rows[0]):
         rows = rows[1:]
     if len(rows) != len(clouds):
-        raise FormatError(path, f"has {len(rows)} stamps for {len(clouds)} clouds; give one row a cloud")
+        rows = _rows_by_name(path, rows, clouds)
     column = _stamp_column(rows)
     try:
         return [int(stamp) for stamp in parse_stamps([row[column] for row in rows])[0]]
     except (ValueError, IndexError) as error:
         raise FormatError(path, f"does not hold one stamp a row: {error}") from None
+
+
+def _rows_by_name(path: Path, rows: list[list[str]], clouds: Sequence[Path]) -> list[list[str]]:
+    """Return the rows that the clouds' names number, from 0: of a longer recording, some clouds may have been kept."""
+    numbers = [int(cloud.stem) if cloud.stem.isdecimal() else -1 for cloud in clouds]
+    if min(numbers) < 0 or max(numbers) >= len(rows):
+        raise FormatError(
+            path,
+            f"has {len(rows)} stamps for {len(clouds)} clouds; give one row a cloud, or name each cloud by the number "
+            "of its row, from 0",
+        )
+    return [rows[number] for number in numbers]
 
 
 def _stamp_column(rows: Sequence[Sequence[str]]) -> int:

@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from heliograph.io.files.tum import parse_seconds
 
-__all__ = ["UNITS", "is_number", "parse_stamps", "stamp_unit"]
+__all__ = ["STAMP_FILES", "UNITS", "is_number", "parse_stamps", "stamp_unit"]
+
+STAMP_FILES = ("times.txt", "timestamps.txt", "timestamps.csv", "times.csv", "stamps.txt")
+"""Names of files that hold one stamp a row, for the clouds or poses that lie beside them."""
 
 UNITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Unit -> the power of ten that makes nanoseconds of it."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import freeze
 from heliograph.config import FilterConfig
 from heliograph.data import Event, NavState, Scan, ScanResult, ScanStatus, Trajectory
-from heliograph.data.error_layout import POSITION
+from heliograph.data.error_layout import POSE, POSITION
 from heliograph.imu import ImuPath
 from heliograph.lie import interpolate_se3, se3
 from heliograph.odometry.filter.measurement import ScanMeasurement
@@ -88,6 +88,7 @@ def scan_result(
         eigenvalues_rotation=found.rotation,
         eigenvalues_translation=found.translation,
         weak_direction=found.weak_direction,
+        lidar_information=fit.measurement.information[POSE, POSE],
     )
 
 

@@ -1,0 +1,33 @@
+"""What a back-end made of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["GraphAccount"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraphAccount:
+    """Counts of a run's graph, and the files that it left beside the others.
+
+    Parameters
+    ----------
+    keyframes : int
+    candidates, accepted, held, rejected, revoked : int
+        Loops that were looked at, that stand, that too little speaks for yet, that were refused, and that stood and
+        were taken back.
+    moved : float
+        How far the keyframe that the loops moved most was moved [m].
+    files : tuple of str
+        Names in the run's folder.
+    """
+
+    keyframes: int = 0
+    candidates: int = 0
+    accepted: int = 0
+    held: int = 0
+    rejected: int = 0
+    revoked: int = 0
+    moved: float = 0.0
+    files: tuple[str, ...] = ()

@@ -1,0 +1,113 @@
+"""Poses of another system as an `Odometry`: a file of them, looked up scan by scan."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.arrays import Array
+from heliograph.config import RunConfig
+from heliograph.data import Event, GnssFix, ImuBatch, Scan, ScanResult, Trajectory
+from heliograph.errors import DataError
+from heliograph.lie import interpolate_se3, se3
+from heliograph.odometry.pose_result import pose_result
+from heliograph.odometry.protocol import Odometry
+
+__all__ = ["PoseFileOdometry"]
+
+_NEAR_NS = 2_000_000  # a pose this close to a scan's stamp is the scan's own
+_LONGEST_GAP_NS = 1_500_000_000  # poses farther apart are not interpolated
+
+
+class PoseFileOdometry(Odometry):
+    """Gives each scan the pose that a trajectory has at its header stamp; the clouds are taken as de-skewed.
+
+    Between two poses it interpolates; a scan outside of them, or in a gap, is left out and counted. What the poses may
+    have drifted is not known: the covariance grows with the way by `SlamConfig.pose_rotation_sigma_deg` and
+    `SlamConfig.pose_position_sigma`.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Poses of the IMU, or of the LiDAR where the recording has no IMU.
+    config : RunConfig
+    T_imu_lidar : (4, 4) float64
+        Mounting.
+
+    Raises
+    ------
+    DataError
+        The trajectory holds no pose.
+    """
+
+    def __init__(self, trajectory: Trajectory, config: RunConfig, T_imu_lidar: Array) -> None:
+        if len(trajectory.stamps_ns) == 0:
+            raise DataError("the file of poses holds none; give a trajectory in TUM or KITTI rows")
+        self.events: list[Event] = []
+        self._trajectory, self._T_imu_lidar = trajectory, T_imu_lidar
+        self._rotation = math.radians(config.slam.pose_rotation_sigma_deg)
+        self._position = config.slam.pose_position_sigma
+        self._before: ScanResult | None = None
+        self._covariance = np.zeros((6, 6))
+        self._count = self._left_out = 0
+        self._first_left_ns = 0
+
+    def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
+        """Return the result of a scan that has a pose; other messages say nothing here."""
+        if not isinstance(message, Scan):
+            return []
+        T = self._pose_at(message.header_stamp_ns)
+        if T is None or (self._before is not None and message.end_ns <= self._before.end_ns):
+            self._first_left_ns = self._first_left_ns or message.header_stamp_ns
+            self._left_out += 1
+            return []
+        self._covariance = self._grown(T)
+        result = pose_result(
+            message, self._count, T, before=self._before, T_imu_lidar=self._T_imu_lidar, covariance=self._covariance,
+            status="tracked" if self._count else "first",
+        )  # fmt: skip
+        self._before, self._count = result, self._count + 1
+        return [result]
+
+    def finish(self) -> list[ScanResult]:
+        """Say how many scans had no pose."""
+        if self._left_out:
+            message = (
+                f"{self._left_out} scans have no pose in the file and are left out: it reaches from "
+                f"{1e-9 * self._trajectory.stamps_ns[0]:.3f} to {1e-9 * self._trajectory.stamps_ns[-1]:.3f} s"
+            )
+            event = Event(code="no-pose", message=message, stamp_ns=self._first_left_ns, count=self._left_out)
+            self.events.append(event)
+            self._left_out = 0
+        return []
+
+    def _pose_at(self, stamp_ns: int) -> Array | None:
+        stamps = self._trajectory.stamps_ns
+        after = int(np.searchsorted(stamps, stamp_ns))
+        for near in (after - 1, after):
+            if 0 <= near < len(stamps) and abs(int(stamps[near]) - stamp_ns) <= _NEAR_NS:
+                return np.array(self._trajectory.T_frame_body[near])
+        if not 0 < after < len(stamps) or stamps[after] - stamps[after - 1] > _LONGEST_GAP_NS:
+            return None
+        T = interpolate_se3(stamps, self._trajectory.T_frame_body, np.array([stamp_ns]))
+        return np.array(T[0])
+
+    def _grown(self, T: Array) -> NDArray[np.float64]:
+        """Return the covariance of rotation (body) and position (odom) at the next pose, (6, 6)."""
+        if self._before is None:
+            return np.zeros((6, 6))
+        before = self._before.T_odom_imu
+        step = se3.inverse(before) @ T
+        way = float(np.linalg.norm(step[:3, 3])) + float(np.linalg.norm(se3.log(step)[:3]))
+        carry = np.eye(6)  # an error of the earlier rotation moves the later position
+        carry[:3, :3] = step[:3, :3].T
+        arm = before[:3, :3] @ step[:3, 3]
+        carry[3:, :3] = -_cross(arm) @ before[:3, :3]
+        noise = np.diag([self._rotation**2 * way] * 3 + [self._position**2 * way] * 3)
+        return np.asarray(carry @ self._covariance @ carry.T + noise)
+
+
+def _cross(v: Array) -> Array:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

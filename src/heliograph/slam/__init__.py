@@ -1,0 +1,16 @@
+"""Graph SLAM: keyframes, their store, and the back-end that joins odometry, inertial data and loops in one graph."""
+
+from heliograph.slam.back_end import BackEnd, GraphUpdate
+from heliograph.slam.keyframes import KeyframeSelector
+from heliograph.slam.session import MovedKeyframes, NoSlam, SlamSession
+from heliograph.slam.store import KeyframeStore
+
+__all__ = [
+    "BackEnd",
+    "GraphUpdate",
+    "KeyframeSelector",
+    "KeyframeStore",
+    "MovedKeyframes",
+    "NoSlam",
+    "SlamSession",
+]

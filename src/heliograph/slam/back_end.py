@@ -1,0 +1,206 @@
+"""The back-end: what each keyframe adds to one graph, on one page (DESIGN, section 9; docs/theory/slam.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.arrays import Array, freeze
+from heliograph.chi_square import chi_square_quantile
+from heliograph.config import RunConfig
+from heliograph.data import Event, GraphAccount, Keyframe
+from heliograph.graph import ISAM2, Between, Covariance, FactorGraph, Symbol, Values
+from heliograph.lie import SE3, se3
+from heliograph.slam.covariances import OdometryChain
+from heliograph.slam.inertial_factors import InertialFactors
+from heliograph.slam.loop_search import LoopSearch
+from heliograph.slam.loops import Ledger, LedgerEntry
+from heliograph.slam.pose_factors import PoseFactors
+from heliograph.slam.store import KeyframeStore
+
+__all__ = ["BackEnd", "GraphUpdate"]
+
+X = Symbol("X")
+_CONVERGED = 1e-5  # an update that closes a loop goes on until no step is longer [rad], [m]
+_BELIEVED = 0.9999  # a loop that the solution contradicts with this probability is taken back
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraphUpdate:
+    """What a keyframe changed.
+
+    Parameters
+    ----------
+    T_map_odom : (4, 4) float64
+        The back-end's only word to the front: where odom lies in the map at the last keyframe.
+    loops : tuple of LedgerEntry
+        Candidates that are new or were decided anew.
+    moved : float
+        How far the keyframe that moved most was moved [m].
+    events : tuple of Event
+        What a user should know.
+    """
+
+    T_map_odom: NDArray[np.float64]
+    loops: tuple[LedgerEntry, ...]
+    moved: float
+    events: tuple[Event, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+class BackEnd:
+    """One smoother over all keyframes; `add` is its page.
+
+    Parameters
+    ----------
+    config : RunConfig
+    store : KeyframeStore
+        Takes the keyframes; an empty one.
+    """
+
+    def __init__(self, config: RunConfig, store: KeyframeStore) -> None:
+        self._config, self._store = config, store
+        self._smoother, self._steps = ISAM2(), FactorGraph()
+        self.chain = OdometryChain()
+        self.ledger = Ledger(config.loops)
+        self._search = LoopSearch(store, self.chain, config.slam, config.places, config.loops)
+        self._factors: InertialFactors | PoseFactors | None = None
+        self._before: Keyframe | None = None
+        self._in_force: dict[int, int] = {}  # number in the ledger -> number of its factor in the smoother
+        self._moved = 0.0
+
+    def add(self, keyframe: Keyframe) -> GraphUpdate:
+        """Take the next keyframe into the graph."""
+        self._store.append(keyframe)  # (1) it is on disk before anything leans on it
+        self.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
+        graph, values = self._step(keyframe)  # (2) where it starts, (3) what odometry and IMU say of the step
+        self._smoother.update(graph, values)  # (4)
+        before, changed = self.T_map_imu, []
+        if self._config.slam.loops:
+            for candidate in self._search.candidates(keyframe.index, before):  # (5) who looks like it
+                evidence = self._search.verified(keyframe.index, candidate)  # (6) does it match
+                changed += self.ledger.add(evidence, self.chain.relative)  # (7) is it to be believed
+                if changed[-1].decision.verdict != "rejected":
+                    break
+        changed += self._enforce(changed)  # (8) smooth with the accepted, take back what the solution contradicts
+        return self._word(keyframe, before, tuple(changed))  # (9)
+
+    @property
+    def T_map_imu(self) -> Array:
+        """Poses of all keyframes in the map, (K, 4, 4)."""
+        keys = X(np.arange(len(self.chain)))
+        return np.ascontiguousarray(self._smoother.estimate(keys).matrix[:, :4, :4])
+
+    @property
+    def closed(self) -> bool:
+        """Whether a loop stands."""
+        return bool(self._in_force)
+
+    def graph(self) -> tuple[FactorGraph, Values]:
+        """Return all that the smoother holds: steps, inertial factors and the loops that stand, at its estimate."""
+        whole = self._steps.copy()
+        for entry in self.ledger.accepted():
+            whole.add(_loop_factor(entry))
+        return whole, self._smoother.estimate()
+
+    def account(self, files: tuple[str, ...] = ()) -> GraphAccount:
+        """Return the counts of the run."""
+        verdicts = [entry.decision.verdict for entry in self.ledger]
+        return GraphAccount(
+            keyframes=len(self.chain),
+            candidates=len(verdicts),
+            accepted=verdicts.count("accepted"),
+            rejected=verdicts.count("rejected"),
+            held=verdicts.count("held"),
+            revoked=verdicts.count("revoked"),
+            moved=self._moved,
+            files=files,
+        )
+
+    def _step(self, keyframe: Keyframe) -> tuple[FactorGraph, Values]:
+        if self._before is None or self._factors is None:
+            inertial = len(keyframe.imu) > 0 and bool(np.linalg.norm(keyframe.g_odom) > 0.0)
+            self._factors = InertialFactors(self._config.slam, self._config.imu) if inertial else PoseFactors()
+            graph, values = self._factors.first(keyframe)
+        else:
+            T_map_before = self._smoother.estimate(X(self._before.index)).matrix[:4, :4]
+            graph, values = self._factors.step(self._before, keyframe, T_map_before)
+        for added in graph.groups():
+            self._steps.adopt(added)
+        self._steps.fix(graph.fixed)
+        self._before = keyframe
+        return graph, values
+
+    def _enforce(self, changed: Sequence[LedgerEntry]) -> list[LedgerEntry]:
+        """Bring the ledger's decisions into the graph, and return what the solution makes of them."""
+        news = [entry for entry in changed if entry.decision.verdict == "accepted" and entry.number not in self._in_force]
+        gone = [self._in_force.pop(entry.number) for entry in changed
+                if entry.decision.verdict == "revoked" and entry.number in self._in_force]  # fmt: skip
+        if not news and not gone:
+            return []
+        graph = FactorGraph()
+        for entry in news:
+            graph.add(_loop_factor(entry))
+        result = self._smoother.update(graph, remove=gone, iterate=_CONVERGED)
+        self._in_force |= {entry.number: int(k) for entry, k in zip(news, result.factors, strict=True)}
+        revoked = self._contradicted()
+        self._search.closed([self.ledger[number].evidence for number in self._in_force])
+        return revoked
+
+    def _contradicted(self) -> list[LedgerEntry]:
+        """Take back the loops that the solution does not bear out, the worst first, until all that stand agree."""
+        revoked: list[LedgerEntry] = []
+        gate = chi_square_quantile(_BELIEVED, 6)
+        while self._in_force:
+            T = self.T_map_imu
+            off = {number: _misfit(self.ledger[number], T) for number in self._in_force}
+            worst = max(off, key=lambda number: off[number])
+            if off[worst] <= gate:
+                break
+            revoked.append(self.ledger.revoke(worst, "solve", chi2=off[worst], allowed=gate))
+            self._smoother.update(remove=[self._in_force.pop(worst)], iterate=_CONVERGED)
+        return revoked
+
+    def _word(self, keyframe: Keyframe, before: Array, changed: tuple[LedgerEntry, ...]) -> GraphUpdate:
+        T, moved = before, 0.0
+        if changed:
+            T = self.T_map_imu
+            moved = float(np.linalg.norm(T[:, :3, 3] - before[:, :3, 3], axis=1).max())
+            self._moved = max(self._moved, moved)
+        return GraphUpdate(
+            T_map_odom=T[-1] @ se3.inverse(keyframe.T_odom_imu),
+            loops=changed,
+            moved=moved,
+            events=_events(keyframe, changed, moved),
+        )
+
+
+def _loop_factor(entry: LedgerEntry) -> Between:
+    loop = entry.evidence
+    return Between(X(loop.match), X(loop.query), SE3(loop.T_match_query), Covariance(loop.covariance))
+
+
+def _misfit(entry: LedgerEntry, T_map_imu: Array) -> float:
+    """Squared distance between a loop and the solution, in the loop's own covariance."""
+    loop = entry.evidence
+    d = se3.local(loop.T_match_query, se3.inverse(T_map_imu[loop.match]) @ T_map_imu[loop.query])
+    return float(d @ np.linalg.solve(loop.covariance, d))
+
+
+def _events(keyframe: Keyframe, changed: Sequence[LedgerEntry], moved: float) -> tuple[Event, ...]:
+    accepted = [entry for entry in changed if entry.decision.verdict == "accepted"]
+    revoked = [entry for entry in changed if entry.decision.verdict == "revoked"]
+    events = []
+    if accepted:
+        pairs = ", ".join(f"{e.evidence.query} to {e.evidence.match}" for e in accepted[:3])
+        message = f"a loop was closed (keyframes {pairs}); the map moved by up to {moved:.3f} m"
+        events.append(Event(code="loop", severity="info", message=message, stamp_ns=keyframe.stamp_ns))
+    if revoked:
+        message = f"{len(revoked)} loops were taken back: {revoked[0].decision.text}"
+        events.append(Event(code="loop-revoked", message=message, stamp_ns=keyframe.stamp_ns))
+    return tuple(events)

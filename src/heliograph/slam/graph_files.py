@@ -1,0 +1,45 @@
+"""The files of a run's graph: loops.csv, graph.g2o for other tools, and graph.npz, which holds everything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from heliograph.atomic import write_text
+from heliograph.graph import Between, Covariance, FactorGraph, Values, pose_graph_of, save_graph, write_g2o
+from heliograph.lie import SE3, se3
+from heliograph.slam.back_end import BackEnd
+
+__all__ = ["GRAPH_FILES", "write_graph_files"]
+
+GRAPH_FILES = ("loops.csv", "graph.g2o", "graph.npz")
+
+
+def write_graph_files(folder: Path, back_end: BackEnd) -> tuple[str, ...]:
+    """Write the files of a back-end into a run's folder and return their names.
+
+    Raises
+    ------
+    OutputError
+        One of them cannot be written.
+    """
+    write_text(folder / "loops.csv", back_end.ledger.to_csv())
+    write_g2o(folder / "graph.g2o", pose_graph_of(*_poses_and_steps(back_end)))
+    save_graph(folder / "graph.npz", *back_end.graph())
+    return GRAPH_FILES
+
+
+def _poses_and_steps(back_end: BackEnd) -> tuple[FactorGraph, Values]:
+    """Return the keyframes' poses, the odometry's steps between them and the loops that stand."""
+    graph, values = FactorGraph(), Values()
+    keys, T = np.arange(len(back_end.chain)), back_end.chain.T_odom_imu
+    values.insert(keys, SE3(back_end.T_map_imu))
+    graph.fix(0)
+    if len(keys) > 1:
+        steps = se3.inverse(T[:-1]) @ T[1:]
+        graph.add(Between(keys[:-1], keys[1:], SE3(steps), Covariance(back_end.chain.step_covariances[1:])))
+    for entry in back_end.ledger.accepted():
+        loop = entry.evidence
+        graph.add(Between(loop.match, loop.query, SE3(loop.T_match_query), Covariance(loop.covariance)))
+    return graph, values

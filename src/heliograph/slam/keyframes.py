@@ -1,0 +1,103 @@
+"""Which scans become keyframes, and what is kept of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from heliograph.arrays import Array
+from heliograph.cloud import voxel_downsample
+from heliograph.config import SlamConfig
+from heliograph.data import ImuBatch, Keyframe, ScanResult
+from heliograph.lie import se3
+from heliograph.odometry.sequencer import ImuBuffer
+from heliograph.slam.covariances import graph_covariance, graph_information, step_covariance
+
+__all__ = ["KeyframeSelector"]
+
+
+class KeyframeSelector:
+    """Watches a run and makes a keyframe of a scan when the body has moved on, turned, or stood for a while.
+
+    A scan that was not matched makes none: where the LiDAR saw nothing, there is nothing to come back to.
+
+    Parameters
+    ----------
+    config : SlamConfig
+    """
+
+    def __init__(self, config: SlamConfig) -> None:
+        self._config = config
+        self._imu = ImuBuffer()
+        self._last: ScanResult | None = None
+        self._count = 0
+
+    def observe(self, samples: ImuBatch) -> None:
+        """Take inertial samples, in the order in which the odometry gets them."""
+        newest = self._imu.last_ns
+        late = 0 if newest is None else int(np.searchsorted(samples.stamps_ns, newest, side="right"))
+        self._imu.append(samples[late:] if late else samples)
+
+    def add(self, result: ScanResult) -> Keyframe | None:
+        """Take the next scan's result; return a keyframe if it is to be one."""
+        if not result.matched or len(result.points_imu) == 0 or not self._due(result):
+            return None
+        picked = voxel_downsample(result.points_imu, self._config.cloud_voxel)
+        keyframe = Keyframe(
+            index=self._count,
+            stamp_ns=result.end_ns,
+            T_odom_imu=result.T_odom_imu,
+            v_odom=result.v_odom,
+            gyro_bias=result.gyro_bias,
+            accel_bias=result.accel_bias,
+            g_odom=result.g_odom,
+            step_covariance=self._step_covariance(result),
+            lidar_information=graph_information(result.lidar_information, result.T_odom_imu),
+            points_imu=result.points_imu[picked],
+            intensity=None if result.intensity is None else result.intensity[picked],
+            imu=self._samples(result),
+        )
+        self._imu.forget_before(result.end_ns)
+        self._last, self._count = result, self._count + 1
+        return keyframe
+
+    def _due(self, result: ScanResult) -> bool:
+        last, config = self._last, self._config
+        if last is None:
+            return True
+        step = se3.local(last.T_odom_imu, result.T_odom_imu)
+        return bool(
+            np.linalg.norm(result.T_odom_imu[:3, 3] - last.T_odom_imu[:3, 3]) >= config.keyframe_distance
+            or np.linalg.norm(step[:3]) >= math.radians(config.keyframe_angle_deg)
+            or result.end_ns - last.end_ns >= 1e9 * config.keyframe_interval
+        )
+
+    def _step_covariance(self, result: ScanResult) -> Array:
+        if self._last is None:
+            return np.zeros((6, 6))
+        least = np.concatenate(
+            [
+                np.full(3, math.radians(self._config.step_rotation_sigma_deg)),
+                np.full(3, self._config.step_position_sigma),
+            ]
+        )
+        before, after = self._last, result
+        return step_covariance(
+            before.T_odom_imu,
+            after.T_odom_imu,
+            graph_covariance(before.pose_covariance, before.T_odom_imu),
+            graph_covariance(after.pose_covariance, after.T_odom_imu),
+            least,
+        )
+
+    def _samples(self, result: ScanResult) -> ImuBatch:
+        """Return the samples since the last keyframe, stamped by the LiDAR's clock where the filter tells the two."""
+        start_ns = result.end_ns if self._last is None else self._last.end_ns
+        account = result.calibration
+        if account is None or account.imu_offset == 0.0:
+            return self._imu.between(start_ns, result.end_ns)
+        late_ns = round(1e9 * account.imu_offset)
+        samples = self._imu.between(start_ns + late_ns, result.end_ns + late_ns)
+        return replace(samples, stamps_ns=samples.stamps_ns - late_ns)

@@ -1,0 +1,162 @@
+"""The search for loops: who may show a keyframe's place, and does it match."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliograph.arrays import Array, Mask, Points, freeze
+from heliograph.config import LoopConfig, PlacesConfig, SlamConfig
+from heliograph.lie import se3
+from heliograph.slam.covariances import OdometryChain
+from heliograph.slam.loops import LocalMaps, LoopEvidence, LoopStart, local_map, loop_align_config, verify
+from heliograph.slam.places import body_guess, level_points, make_detector
+from heliograph.slam.store import KeyframeStore
+
+__all__ = ["Candidate", "LoopSearch"]
+
+_SIGMAS = 3.0  # of the position, that a place may lie off
+_REMEMBERED = 8  # latest loops by which the graph may know the way
+_PULLED_IN = 0.3  # a position known so well needs no detector: registration finds the rest [m], one-sigma
+_TURNED_IN = np.radians(3.0)  # the same of rotation
+_ANCHOR = 5  # of places known so well one keyframe in so many is matched with: neighbours share its local map
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """An earlier keyframe that may show the same place, and guesses of the query's pose in it.
+
+    Parameters
+    ----------
+    match : int
+    score : float
+        Likeness by the detector; NaN where the poses propose it.
+    starts : tuple of LoopStart
+    """
+
+    match: int
+    score: float
+    starts: tuple[LoopStart, ...]
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+class LoopSearch:
+    """Descriptors and local maps of all keyframes so far.
+
+    Parameters
+    ----------
+    store : KeyframeStore
+    chain : OdometryChain
+        Poses of the odometry and how uncertain it leaves the way from one to another.
+    slam, places, loops : SlamConfig, PlacesConfig, LoopConfig
+    """
+
+    def __init__(
+        self, store: KeyframeStore, chain: OdometryChain, slam: SlamConfig, places: PlacesConfig, loops: LoopConfig
+    ) -> None:
+        self._store, self._chain, self._slam, self._config = store, chain, slam, loops
+        self._detector = make_detector(places)
+        self._maps = LocalMaps(store, loop_align_config(loops))
+        self._standing: tuple[LoopEvidence, ...] = ()
+
+    def closed(self, loops: Sequence[LoopEvidence]) -> None:
+        """Take note of the loops that stand: by them the graph knows the way."""
+        self._standing = tuple(loops)[-_REMEMBERED:]
+
+    def candidates(self, query: int, T_map_imu: Array) -> tuple[Candidate, ...]:
+        """Return the places to look at for the newest keyframe, the most promising first.
+
+        Where the way is known well enough for a registration, the nearest keyframe is the place; elsewhere the detector
+        ranks all that the covariance allows.
+
+        Parameters
+        ----------
+        query : int
+        T_map_imu : (K, 4, 4) float64
+            Poses of all keyframes as the graph has them now.
+        """
+        count = max(0, query - self._config.apart)
+        if count == 0 or query % self._slam.loop_every:
+            return ()
+        odometry, known = self._open(query, count)
+        away = np.minimum(
+            _distances(self._chain.T_odom_imu, query, count), _distances(T_map_imu, query, count)
+        )
+        reach = away <= self._slam.loop_reach + _SIGMAS * odometry[:, 0]
+        worth = odometry[:, 0] >= self._slam.loop_worth
+        sure = (known[:, 0] <= _PULLED_IN) & (known[:, 1] <= _TURNED_IN)
+        near = np.flatnonzero(reach & worth & sure & (_distances(T_map_imu, query, count) <= self._slam.loop_reach))
+        found = [self._nearest(query, near, T_map_imu)] if len(near) else []
+        if (unsure := reach & worth & ~sure).any():
+            found += self._alike(query, unsure, T_map_imu)
+        return tuple(found)
+
+    def verified(self, query: int, candidate: Candidate) -> LoopEvidence:
+        """Register the query against a candidate from its guesses and odometry's, and return the evidence."""
+        return verify(
+            query, candidate.match, self._maps, candidate.starts, self._chain.relative, newest=query,
+            config=self._config, score=candidate.score,
+        )  # fmt: skip
+
+    def _open(self, query: int, count: int) -> tuple[Array, Array]:
+        """Return what odometry leaves open of each keyframe's pose against the query's, and the graph with its loops.
+
+        Both are (count, 2): largest one-sigma of position [m] and rotation [rad].
+        """
+        odometry = self._variances(query, np.arange(count))
+        known = odometry
+        for loop in self._standing:
+            between = np.array([np.linalg.eigvalsh(loop.covariance[k, k])[-1] for k in (slice(3, 6), slice(0, 3))])
+            detour = self._variances(query, np.array([loop.query])) + between
+            known = np.minimum(known, detour + self._variances(loop.match, np.arange(count)))
+        return np.sqrt(odometry), np.sqrt(known)
+
+    def _variances(self, query: int, others: np.ndarray) -> Array:
+        covariances = self._chain.relative_covariances(query, others)
+        position = np.linalg.eigvalsh(covariances[:, 3:, 3:])[:, -1]
+        return np.maximum(np.stack([position, np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1]], axis=1), 0.0)
+
+    def _nearest(self, query: int, near: np.ndarray, T_map_imu: Array) -> Candidate:
+        anchors = near[near % _ANCHOR == 0]
+        some = anchors if len(anchors) else near
+        apart = np.linalg.norm(T_map_imu[some, :3, 3] - T_map_imu[query, :3, 3], axis=1)
+        # Seen from the same side it shares more.
+        turned = 1.0 - np.einsum("nij,ij->n", T_map_imu[some, :3, :3], T_map_imu[query, :3, :3]) / 3.0
+        match = int(some[np.argmin(apart + self._slam.loop_reach * turned)])
+        return Candidate(match=match, score=float("nan"), starts=(self._by_graph(query, match, T_map_imu),))
+
+    def _alike(self, query: int, allowed: Mask, T_map_imu: Array) -> list[Candidate]:
+        self._describe(query)
+        points = self._level(query)
+        mask = np.zeros(len(self._detector), dtype=bool)
+        mask[: len(allowed)] = allowed
+        found = []
+        for place in self._detector.query(points, allowed=mask, top=self._config.candidates):
+            starts = [self._by_graph(query, place.index, T_map_imu)]
+            if not place.yaw_only:
+                T = body_guess(place.T_match_query, self._store.T_odom_imu(place.index), self._store.T_odom_imu(query))
+                starts.append(LoopStart(source="place", T_match_query=T))
+            found.append(Candidate(match=place.index, score=place.score, starts=tuple(starts)))
+        return found
+
+    def _describe(self, query: int) -> None:
+        """Bring the detector up to date: descriptors are made when they are first needed."""
+        for index in range(len(self._detector), query):
+            self._detector.add(index, self._detector.describe(self._level(index)))
+
+    def _level(self, index: int) -> Points:
+        first = max(0, index - self._config.before)
+        points = local_map(self._store, index, range(first, index + 1))
+        return level_points(points, self._store.T_odom_imu(index))
+
+    def _by_graph(self, query: int, match: int, T_map_imu: Array) -> LoopStart:
+        T = np.ascontiguousarray(se3.inverse(T_map_imu[match]) @ T_map_imu[query])
+        return LoopStart(source="graph", T_match_query=T)
+
+
+def _distances(T: Array, query: int, count: int) -> Array:
+    return np.asarray(np.linalg.norm(T[:count, :3, 3] - T[query, :3, 3], axis=1))

@@ -1,0 +1,206 @@
+"""Evidence for a candidate loop: registration of the query's local map against the match's, from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliograph.arrays import Array, freeze
+from heliograph.config import AlignConfig, LoopConfig
+from heliograph.errors import DataError
+from heliograph.lie import se3
+from heliograph.registration import AlignResult, PreparedCloud, align
+from heliograph.slam.loops.records import LoopEvidence, LoopStart, RelativePose
+from heliograph.slam.loops.sharpness import joined_blur
+from heliograph.slam.loops.submaps import LocalMaps
+from heliograph.slam.loops.tangent import gate_of, mahalanobis, near
+
+__all__ = ["loop_align_config", "verify", "window_end"]
+
+_LEVER_M = 10.0  # distance at which a local map's turn is counted as smear
+
+
+def loop_align_config(config: LoopConfig) -> AlignConfig:
+    """Return the settings that local maps are prepared and matched with."""
+    return AlignConfig(one_sided=True, voxel=config.voxel, levels=config.levels)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fitted:
+    start: LoopStart
+    result: AlignResult
+    covariance: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def T(self) -> Array:
+        """The pose found, or the start."""
+        found = self.result.T_target_source
+        return found if found is not None else self.start.T_match_query
+
+    @property
+    def evidence(self) -> float:
+        """The share of the smaller overlap that fits; 0 where there is no pose."""
+        r = self.result
+        return 0.0 if r.T_target_source is None else min(r.overlap_source, r.overlap_target) * r.inliers / max(r.matches, 1)
+
+
+def verify(
+    query: int,
+    match: int,
+    maps: LocalMaps,
+    starts: Sequence[LoopStart],
+    relative: RelativePose,
+    *,
+    newest: int,
+    config: LoopConfig | None = None,
+    score: float = float("nan"),
+    threads: int = 1,
+) -> LoopEvidence:
+    """Register a query against a candidate from every start that odometry allows, and collect what tells for it.
+
+    Starts that lie within `same` of another are tried once. Of the poses found the one with the most evidence is kept:
+    the share of the smaller overlap that fits. A start that odometry's covariance excludes is not tried, but for one by
+    hand: where its registration led, it would be refused. Local maps reach as far as odometry is surer than
+    `max_smear`, and what it may have bent them is part of the pose's covariance.
+
+    Parameters
+    ----------
+    query, match : int
+        Keyframes.
+    maps : LocalMaps
+        Prepared with `loop_align_config`.
+    starts : sequence of LoopStart
+        Guesses, such as a detector's; odometry's own pose is tried first in any case.
+    relative : callable
+        Keyframes a < b -> odometry's (or the graph's) ``T_a_b`` and its covariance.
+    newest : int
+        Last keyframe that there is: local maps reach no further.
+    config : LoopConfig, optional
+    score : float
+        Likeness by the detector.
+    threads : int
+        The result does not depend on it.
+
+    Raises
+    ------
+    DataError
+        Keyframes out of order.
+    """
+    config = config or LoopConfig()
+    if not 0 <= match < query <= newest:
+        raise DataError(f"a loop needs an earlier keyframe as match, got query {query}, match {match} of 0 to {newest}")
+    prior = relative(match, query)
+    ends = (
+        window_end(query, max(0, query - config.before), relative, config),
+        window_end(match, max(0, match - config.before), relative, config),
+        window_end(match, min(match + config.after, query - 1), relative, config),
+    )
+    source, target = maps.around(query, ends[0], query), maps.around(match, ends[1], ends[2])
+    bent = _bent(query, ends[0], relative) + _bent(match, ends[1], relative)
+    fitted = []
+    for start in _distinct((LoopStart(source="odometry", T_match_query=prior[0]), *starts), prior, config):
+        result = align(target, source, start=start.T_match_query, config=maps.config, threads=threads)
+        fitted.append(_Fitted(start=start, result=result, covariance=_covariance(result, bent, config)))
+    best = max(fitted, key=lambda one: one.evidence)
+    evidence = _evidence_of(query, match, best, fitted, prior, score, config)
+    return with_blur(evidence, target, source, config) if best.evidence > 0.0 else evidence
+
+
+def _evidence_of(
+    query: int,
+    match: int,
+    best: _Fitted,
+    fitted: Sequence[_Fitted],
+    prior: tuple[Array, Array],
+    score: float,
+    config: LoopConfig,
+) -> LoopEvidence:
+    result = best.result
+    return LoopEvidence(
+        query=query,
+        match=match,
+        source=best.start.source,
+        status=result.status,
+        T_match_query=best.T,
+        covariance=best.covariance,
+        overlap_query=result.overlap_source,
+        overlap_match=result.overlap_target,
+        inliers=result.inliers / max(result.matches, 1),
+        residuals=result.residuals,
+        blind=() if result.observability is None else tuple(str(d) for d in result.observability.blind),
+        weakest=0.0 if result.observability is None else float(result.observability.translation[0].information),
+        T_match_query_odom=prior[0],
+        odom_covariance=prior[1],
+        odom_mahalanobis=mahalanobis(prior[0], best.T, prior[1] + best.covariance),
+        starts=len(fitted),
+        agreeing=sum(near(one.T, best.T, config.same, config.same_deg) for one in fitted if one.evidence > 0.0),
+        lead=_lead(best, fitted, prior, config),
+        score=score,
+    )
+
+
+def window_end(centre: int, end: int, relative: RelativePose, config: LoopConfig) -> int:
+    """Return the last keyframe from one towards another that odometry knows relative to it better than `max_smear`."""
+    at, step = centre, 1 if end > centre else -1
+    while at != end:
+        first, last = sorted((centre, at + step))
+        S = relative(first, last)[1]
+        # The smear of what is seen at the lever's end, an axis.
+        if np.trace(S[3:, 3:]) / 3.0 + _LEVER_M**2 * np.trace(S[:3, :3]) / 3.0 > config.max_smear**2:
+            break
+        at += step
+    return at
+
+
+def _bent(centre: int, end: int, relative: RelativePose) -> Array:
+    """Covariance that a local map's bend gives to a registration by it: that of its middle keyframe."""
+    middle = (centre + end) // 2
+    return relative(middle, centre)[1] if middle < centre else np.zeros((6, 6))
+
+
+def with_blur(
+    evidence: LoopEvidence, target: PreparedCloud, source: PreparedCloud, config: LoopConfig
+) -> LoopEvidence:
+    """Return the evidence with the blur of joining the local maps where odometry has them, and at the pose."""
+    edge = 2.0 * config.voxel
+    before = joined_blur(target.points, source.points, evidence.T_match_query_odom, edge)
+    after = joined_blur(target.points, source.points, evidence.T_match_query, edge)
+    return replace(evidence, blur_before=before, blur_after=after)
+
+
+def _distinct(starts: Sequence[LoopStart], prior: tuple[Array, Array], config: LoopConfig) -> list[LoopStart]:
+    kept: list[LoopStart] = []
+    gate = 2.0 * gate_of(config.gate_probability)  # a guess is off by a cell, and may be pulled in
+    for start in starts:
+        allowed = start.source in ("odometry", "hand") or _outside(start.T_match_query, prior, config) <= gate
+        if allowed and not any(near(start.T_match_query, k.T_match_query, config.same, config.same_deg) for k in kept):
+            kept.append(start)
+    return kept
+
+
+def _outside(T: Array, prior: tuple[Array, Array], config: LoopConfig) -> float:
+    """Squared distance from odometry's pose of a guess that is good to a few edges of the finest cubes."""
+    sigma = np.concatenate([np.full(3, np.radians(config.same_deg)), np.full(3, 2.0 * config.voxel)])
+    return mahalanobis(prior[0], T, prior[1] + np.diag(sigma**2))
+
+
+def _lead(best: _Fitted, fitted: Sequence[_Fitted], prior: tuple[Array, Array], config: LoopConfig) -> float:
+    gate = gate_of(config.gate_probability)
+    others = [
+        one.evidence
+        for one in fitted
+        if not near(one.T, best.T, config.same, config.same_deg)
+        and mahalanobis(prior[0], one.T, prior[1] + one.covariance) <= gate
+    ]
+    rival = max(others, default=0.0)
+    return best.evidence / rival if rival > 0.0 else float("inf")
+
+
+def _covariance(result: AlignResult, bent: Array, config: LoopConfig) -> Array:
+    floor = bent + np.diag(np.repeat([np.radians(config.sigma_deg), config.sigma], 3) ** 2)
+    return np.asarray(floor if result.covariance is None else result.covariance + floor)

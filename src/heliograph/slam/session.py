@@ -1,0 +1,104 @@
+"""A run's back-end from the first scan to the last file: keyframes in, corrected poses and the graph's files out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.arrays import Array
+from heliograph.config import RunConfig
+from heliograph.data import Event, GraphAccount, ImuBatch, Message, ScanResult
+from heliograph.slam.back_end import BackEnd
+from heliograph.slam.graph_files import write_graph_files
+from heliograph.slam.keyframes import KeyframeSelector
+from heliograph.slam.store import KeyframeStore
+
+__all__ = ["KEYFRAMES", "MovedKeyframes", "NoSlam", "SlamSession"]
+
+KEYFRAMES = "keyframes"
+
+
+class MovedKeyframes(NamedTuple):
+    """Keyframes of a run that its loops have moved.
+
+    Parameters
+    ----------
+    stamps_ns : (K,) int64
+        [ns].
+    T_odom_imu, T_map_imu : (K, 4, 4) float64
+        As the odometry gave them, and as the graph has them.
+    """
+
+    stamps_ns: NDArray[np.int64]
+    T_odom_imu: Array
+    T_map_imu: Array
+
+
+class SlamSession:
+    """Picks keyframes out of a run and gives them to a back-end.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the keyframes and the graph's files go: the run's folder.
+    config : RunConfig
+    """
+
+    def __init__(self, folder: Path, config: RunConfig) -> None:
+        self.events: list[Event] = []
+        self._folder = folder
+        self._selector = KeyframeSelector(config.slam)
+        self.store = KeyframeStore.create(folder / KEYFRAMES)
+        self.back_end = BackEnd(config, self.store)
+
+    def observe(self, message: Message) -> None:
+        """Take a message of the recording, before the odometry gets it."""
+        if isinstance(message, ImuBatch):
+            self._selector.observe(message)
+
+    def add(self, results: Sequence[ScanResult]) -> None:
+        """Take the results that a message made ready."""
+        for result in results:
+            keyframe = self._selector.add(result)
+            if keyframe is not None:
+                self.events += self.back_end.add(keyframe).events
+
+    def moved(self) -> MovedKeyframes | None:
+        """Return where the keyframes lie after all; None where no loop stands, and odometry has the last word."""
+        if not self.back_end.closed or len(self.store) == 0:
+            return None
+        return MovedKeyframes(
+            stamps_ns=self.back_end.chain.stamps_ns,
+            T_odom_imu=self.back_end.chain.T_odom_imu,
+            T_map_imu=self.back_end.T_map_imu,
+        )
+
+    def close(self) -> GraphAccount:
+        """Release the store, write the graph's files and return the account."""
+        self.store.close()
+        files = write_graph_files(self._folder, self.back_end) if len(self.store) else ()
+        return self.back_end.account(files=files)
+
+
+class NoSlam:
+    """The back-end of a run that has none."""
+
+    events: tuple[Event, ...] = ()
+
+    def observe(self, message: Message) -> None:
+        """Take nothing."""
+
+    def add(self, results: Sequence[ScanResult]) -> None:
+        """Take nothing."""
+
+    def moved(self) -> MovedKeyframes | None:
+        """Return None: odometry has the last word."""
+        return None
+
+    def close(self) -> GraphAccount | None:
+        """Return None: there is no graph."""
+        return None
