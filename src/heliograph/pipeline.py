@@ -94,10 +94,10 @@ def back_end(folder: Path | None, config: RunConfig, sensors: frozenset[str]) ->
     if not config.slam.graph or "lidar" not in sensors:
         yield NoSlam()
     elif folder is not None:
-        yield SlamSession(folder, config)
+        yield SlamSession(folder, config, poses_given=is_pose_file(config.odometry))
     else:
         with tempfile.TemporaryDirectory(prefix="heliograph_") as path:
-            yield SlamSession(Path(path), config)
+            yield SlamSession(Path(path), config, poses_given=is_pose_file(config.odometry))
 
 
 def mounted(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     Points = NDArray[np.float32] | NDArray[np.float64]
 
-__all__ = ["align", "align_lines"]
+__all__ = ["align", "align_lines", "draw_pair"]
 
 
 class Method(str, Enum):
@@ -65,7 +65,7 @@ def align(
         *points, method=method.value, start=T_start, config=AlignConfig(voxel=voxel), threads=max(threads or 1, 1)
     )
     if picture is not None and result.T_target_source is not None:
-        _draw(picture, points[0], points[1], result.T_target_source)
+        draw_pair(picture, points[0], points[1], result.T_target_source)
     typer.echo(jsonlib.dumps(_plain(result.as_dict()), allow_nan=False) if json else "\n".join(align_lines(result)))
 
 
@@ -97,7 +97,7 @@ def _check_picture(path: Path | None) -> None:
         raise OutputError(f"cannot write {path}: a picture's suffix must be .png")
 
 
-def _draw(path: Path, target: Points, source: Points, T: NDArray[np.float64]) -> None:
+def draw_pair(path: Path, target: Points, source: Points, T: NDArray[np.float64]) -> None:
     """Draw the target in blue and the source, at its pose, in orange, from above."""
     import numpy as np
 

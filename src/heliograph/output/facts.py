@@ -16,7 +16,7 @@ from heliograph.data import GraphAccount, StartAccount
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 
-__all__ = ["final_facts", "peak_memory_mb", "versions"]
+__all__ = ["final_facts", "graph_facts", "peak_memory_mb", "versions"]
 
 
 def versions() -> dict[str, str]:
@@ -90,7 +90,7 @@ def final_facts(
             "eigenvalue": summary.weakest_eigenvalue,
             "direction_map": summary.weakest_direction.tolist(),
         },
-        **({"graph": _graph(summary.graph)} if summary.graph is not None else {}),
+        **({"graph": graph_facts(summary.graph)} if summary.graph is not None else {}),
         **({"start": _start(summary.start)} if summary.start is not None else {}),
         "warnings": [asdict(event) for event in summary.events],
         "timings": _timings(summary, writer_seconds, closing_seconds),
@@ -104,14 +104,11 @@ def final_facts(
     return {key: plain(value) for key, value in account.items()}
 
 
-def _graph(graph: GraphAccount) -> dict[str, Any]:
-    """Return what the back-end made of the run."""
+def graph_facts(graph: GraphAccount) -> dict[str, Any]:
+    """Return what the back-end made of the run, as ``run.json`` has it."""
     account = asdict(graph)
-    return {"keyframes": account.pop("keyframes"), "moved_m": account.pop("moved"), "loops": _without(account, "files")}
-
-
-def _without(account: dict[str, Any], name: str) -> dict[str, Any]:
-    return {key: value for key, value in account.items() if key != name}
+    del account["files"]
+    return {"keyframes": account.pop("keyframes"), "moved_m": account.pop("moved"), "loops": account}
 
 
 def _start(start: StartAccount) -> dict[str, Any]:

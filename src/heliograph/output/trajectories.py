@@ -15,7 +15,7 @@ from heliograph.io.files.tum import TumWriter, parse_seconds
 from heliograph.lie import so3
 from heliograph.output.final_poses import FinalPoses
 
-__all__ = ["FILES", "TrajectoryFiles"]
+__all__ = ["FILES", "TrajectoryFiles", "rewrite"]
 
 _TRAJECTORY, _ODOMETRY, _IMU_RATE = FILES = ("trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum")
 _BLOCK = 4096  # rows rewritten at once
@@ -112,11 +112,11 @@ class TrajectoryFiles:
         """
         self.release()
         for path in self.paths:
-            _move(path, FinalPoses.moved_by(T_leveled_odom) if path.name == _ODOMETRY else final)
+            rewrite(path, FinalPoses.moved_by(T_leveled_odom) if path.name == _ODOMETRY else final)
 
 
-def _move(path: Path, final: FinalPoses) -> None:
-    """Write a file anew with each pose where it has been after all, block by block; all of it or nothing."""
+def rewrite(path: Path, final: FinalPoses) -> None:
+    """Write a TUM file anew with each pose where it has been after all, block by block; all of it or nothing."""
     rigid = final.rigid
     if rigid is not None and np.array_equal(rigid, np.eye(4)):
         return

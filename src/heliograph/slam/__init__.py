@@ -2,10 +2,11 @@
 
 from heliograph.slam.back_end import BackEnd, GraphUpdate
 from heliograph.slam.keyframes import KeyframeSelector
-from heliograph.slam.session import MovedKeyframes, NoSlam, SlamSession
+from heliograph.slam.session import KEYFRAMES, MovedKeyframes, NoSlam, SlamSession
 from heliograph.slam.store import KeyframeStore
 
 __all__ = [
+    "KEYFRAMES",
     "BackEnd",
     "GraphUpdate",
     "KeyframeSelector",

@@ -17,7 +17,7 @@ from heliograph.lie import SE3, se3
 from heliograph.slam.covariances import OdometryChain
 from heliograph.slam.inertial_factors import InertialFactors
 from heliograph.slam.loop_search import LoopSearch
-from heliograph.slam.loops import Ledger, LedgerEntry
+from heliograph.slam.loops import Ledger, LedgerEntry, LoopEvidence
 from heliograph.slam.pose_factors import PoseFactors
 from heliograph.slam.store import KeyframeStore
 
@@ -61,18 +61,36 @@ class BackEnd:
     config : RunConfig
     store : KeyframeStore
         Takes the keyframes; an empty one.
+    ledger : Ledger, optional
+        That of an earlier session.
     """
 
-    def __init__(self, config: RunConfig, store: KeyframeStore) -> None:
+    def __init__(self, config: RunConfig, store: KeyframeStore, *, ledger: Ledger | None = None) -> None:
         self._config, self._store = config, store
         self._smoother, self._steps = ISAM2(), FactorGraph()
         self.chain = OdometryChain()
-        self.ledger = Ledger(config.loops)
+        self.ledger = ledger if ledger is not None else Ledger(config.loops)
         self._search = LoopSearch(store, self.chain, config.slam, config.places, config.loops)
         self._factors: InertialFactors | PoseFactors | None = None
         self._before: Keyframe | None = None
         self._in_force: dict[int, int] = {}  # number in the ledger -> number of its factor in the smoother
         self._moved = 0.0
+
+    @classmethod
+    def replayed(cls, config: RunConfig, store: KeyframeStore, ledger: Ledger) -> BackEnd:
+        """Return the back-end of a store that is full, with the loops of its ledger that stand; none are looked for."""
+        back_end = cls(config, store, ledger=ledger)
+        for keyframe in store:
+            back_end.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
+            back_end._smoother.update(*back_end._step(keyframe))
+        before = back_end.T_map_imu
+        back_end._enforce(ledger.accepted())
+        back_end._moved = _furthest(before, back_end.T_map_imu)
+        return back_end
+
+    def compare(self, query: int, match: int) -> LoopEvidence:
+        """Register two keyframes from where the graph and the odometry have them."""
+        return self._search.verified(query, self._search.by_hand(query, match, self.T_map_imu))
 
     def add(self, keyframe: Keyframe) -> GraphUpdate:
         """Take the next keyframe into the graph."""
@@ -95,6 +113,10 @@ class BackEnd:
         """Poses of all keyframes in the map, (K, 4, 4)."""
         keys = X(np.arange(len(self.chain)))
         return np.ascontiguousarray(self._smoother.estimate(keys).matrix[:, :4, :4])
+
+    def covariance(self, index: int) -> Array:
+        """Return the covariance of a keyframe's pose, right perturbation (6, 6); the first defines the frame."""
+        return np.asarray(self._smoother.covariance(X(index))[:6, :6])
 
     @property
     def closed(self) -> bool:
@@ -170,7 +192,7 @@ class BackEnd:
         T, moved = before, 0.0
         if changed:
             T = self.T_map_imu
-            moved = float(np.linalg.norm(T[:, :3, 3] - before[:, :3, 3], axis=1).max())
+            moved = _furthest(before, T)
             self._moved = max(self._moved, moved)
         return GraphUpdate(
             T_map_odom=T[-1] @ se3.inverse(keyframe.T_odom_imu),
@@ -178,6 +200,10 @@ class BackEnd:
             moved=moved,
             events=_events(keyframe, changed, moved),
         )
+
+
+def _furthest(before: Array, after: Array) -> float:
+    return float(np.linalg.norm(after[:, :3, 3] - before[:, :3, 3], axis=1).max(initial=0.0))
 
 
 def _loop_factor(entry: LedgerEntry) -> Between:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from heliograph.atomic import write_text
 from heliograph.graph import Between, Covariance, FactorGraph, Values, pose_graph_of, save_graph, write_g2o
 from heliograph.lie import SE3, se3
 from heliograph.slam.back_end import BackEnd
+from heliograph.slam.loops.ledger_file import write_ledger
 
 __all__ = ["GRAPH_FILES", "write_graph_files"]
 
@@ -24,7 +24,7 @@ def write_graph_files(folder: Path, back_end: BackEnd) -> tuple[str, ...]:
     OutputError
         One of them cannot be written.
     """
-    write_text(folder / "loops.csv", back_end.ledger.to_csv())
+    write_ledger(folder / "loops.csv", back_end.ledger)
     write_g2o(folder / "graph.g2o", pose_graph_of(*_poses_and_steps(back_end)))
     save_graph(folder / "graph.npz", *back_end.graph())
     return GRAPH_FILES

@@ -17,6 +17,8 @@ from heliograph.slam.covariances import graph_covariance, graph_information, ste
 
 __all__ = ["KeyframeSelector"]
 
+_OTHERS_NS = 200_000_000  # clouds that come slower than this are another system's keyframes
+
 
 class KeyframeSelector:
     """Watches a run and makes a keyframe of a scan when the body has moved on, turned, or stood for a while.
@@ -26,10 +28,12 @@ class KeyframeSelector:
     Parameters
     ----------
     config : SlamConfig
+    poses_given : bool
+        Whether the poses are another system's: clouds that come slower than five times a second are its keyframes.
     """
 
-    def __init__(self, config: SlamConfig) -> None:
-        self._config = config
+    def __init__(self, config: SlamConfig, *, poses_given: bool = False) -> None:
+        self._config, self._poses_given = config, poses_given
         self._imu = ImuBuffer()
         self._last: ScanResult | None = None
         self._count = 0
@@ -66,6 +70,8 @@ class KeyframeSelector:
     def _due(self, result: ScanResult) -> bool:
         last, config = self._last, self._config
         if last is None:
+            return True
+        if self._poses_given and result.end_ns - last.end_ns > _OTHERS_NS:
             return True
         step = se3.local(last.T_odom_imu, result.T_odom_imu)
         return bool(

@@ -95,6 +95,12 @@ class LoopSearch:
             found += self._alike(query, unsure, T_map_imu)
         return tuple(found)
 
+    def by_hand(self, query: int, match: int, T_map_imu: Array) -> Candidate:
+        """Return the candidate that a person names."""
+        start = self._by_graph(query, match, T_map_imu)
+        hand = LoopStart(source="hand", T_match_query=start.T_match_query)
+        return Candidate(match=match, score=float("nan"), starts=(hand,))
+
     def verified(self, query: int, candidate: Candidate) -> LoopEvidence:
         """Register the query against a candidate from its guesses and odometry's, and return the evidence."""
         return verify(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,12 +47,15 @@ class SlamSession:
     folder : Path
         Where the keyframes and the graph's files go: the run's folder.
     config : RunConfig
+    poses_given : bool
+        Whether the poses are another system's: clouds that come slowly are then its keyframes.
     """
 
-    def __init__(self, folder: Path, config: RunConfig) -> None:
+    def __init__(self, folder: Path, config: RunConfig, *, poses_given: bool = False) -> None:
+        config = replace(config, slam=replace(config.slam, loop_every=1)) if poses_given else config
         self.events: list[Event] = []
         self._folder = folder
-        self._selector = KeyframeSelector(config.slam)
+        self._selector = KeyframeSelector(config.slam, poses_given=poses_given)
         self.store = KeyframeStore.create(folder / KEYFRAMES)
         self.back_end = BackEnd(config, self.store)
 

@@ -19,9 +19,7 @@ __all__ = ["verify_places", "within_reach"]
 _SIGMAS = 3.0
 
 
-def within_reach(
-    p_odom_query: Array, p_odom: Array, sigma: Array, config: LoopConfig | None = None
-) -> Mask:
+def within_reach(p_odom_query: Array, p_odom: Array, sigma: Array, config: LoopConfig | None = None) -> Mask:
     """Return which keyframes may show the query's place, as far as odometry knows, (K,).
 
     Parameters

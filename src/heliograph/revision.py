@@ -1,0 +1,170 @@
+"""A run's loops taken up again: one is added or revoked, the graph is solved anew, and the run's files follow."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from heliograph.arrays import Array, freeze
+from heliograph.atomic import write_text
+from heliograph.config import RunConfig
+from heliograph.config_toml import load_config
+from heliograph.data import GraphAccount
+from heliograph.errors import DataError, FormatError
+from heliograph.factors import SENSOR_FACTORS
+from heliograph.graph import Symbol, load_graph
+from heliograph.io.files.clouds import write_cloud
+from heliograph.maps import GlobalMap
+from heliograph.output.facts import graph_facts
+from heliograph.output.final_poses import FinalPoses
+from heliograph.output.trajectories import FILES, rewrite
+from heliograph.slam import KEYFRAMES, BackEnd, KeyframeStore
+from heliograph.slam.graph_files import write_graph_files
+from heliograph.slam.loops import Ledger, LedgerEntry
+from heliograph.slam.loops.ledger_file import read_ledger
+
+__all__ = ["RunGraph", "open_run_graph"]
+
+X = Symbol("X")
+_IN_MAP = tuple(name for name in FILES if name != "odometry.tum")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunGraph:
+    """A run's keyframes, its ledger, and where its files have the keyframes now.
+
+    Parameters
+    ----------
+    folder : Path
+    config : RunConfig
+        The run's own.
+    facts : mapping
+        Its ``run.json``.
+    store : KeyframeStore
+    ledger : Ledger
+    T_map_imu : (K, 4, 4) float64
+        Poses of the keyframes in the files of the map frame.
+    """
+
+    folder: Path
+    config: RunConfig
+    facts: Mapping[str, Any]
+    store: KeyframeStore
+    ledger: Ledger
+    T_map_imu: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def revoke(self, number: int) -> LedgerEntry:
+        """Take a loop back by hand; `resolve` brings it into the files.
+
+        Raises
+        ------
+        DataError
+            There is no such loop, or it does not stand.
+        """
+        return self.ledger.revoke(number)
+
+    def add(self, query: int, match: int) -> LedgerEntry:
+        """Register two keyframes and accept the loop by hand; `resolve` brings it into the files.
+
+        Raises
+        ------
+        DataError
+            There are no such keyframes, or their clouds do not match.
+        """
+        query, match = max(query, match), min(query, match)
+        if not 0 <= match < query < len(self.store):
+            raise DataError(
+                f"a loop joins two of the keyframes 0 to {len(self.store) - 1}, not {query} and {match}; "
+                "loops.csv and `heliograph loops` number them"
+            )
+        evidence = BackEnd.replayed(self.config, self.store, self.ledger).compare(query, match)
+        if evidence.status not in ("converged", "degenerate"):
+            raise DataError(
+                f"keyframes {query} and {match} do not match ({evidence.status}, overlap {evidence.overlap:.0%}): "
+                "no loop was added"
+            )
+        return self.ledger.add_by_hand(evidence)
+
+    def resolve(self) -> GraphAccount:
+        """Solve the graph with the loops that stand, and write the run's files anew.
+
+        The map is put together from the keyframes' clouds, which are thinner than the run's own.
+
+        Raises
+        ------
+        OutputError
+            A file cannot be written.
+        """
+        back_end = BackEnd.replayed(self.config, self.store, self.ledger)
+        T_new = back_end.T_map_imu if back_end.closed else _levelled(self.facts, back_end.chain.T_odom_imu)
+        moved = FinalPoses(stamps_ns=back_end.chain.stamps_ns, T_odom_imu=self.T_map_imu, T_map_imu=T_new)
+        for name in _IN_MAP:
+            if (self.folder / name).is_file():
+                rewrite(self.folder / name, moved)
+        files = write_graph_files(self.folder, back_end)
+        self._write_map(T_new)
+        account = back_end.account(files=files)
+        facts = {**self.facts, "graph": graph_facts(account)}
+        write_text(self.folder / "run.json", json.dumps(facts, indent=2) + "\n")
+        return account
+
+    def _write_map(self, T_map_imu: Array) -> None:
+        output = self.config.output
+        whole = GlobalMap(output.map_voxel)
+        for keyframe, T in zip(self.store, T_map_imu, strict=True):
+            whole.insert(keyframe.points_imu, keyframe.intensity, np.ascontiguousarray(T))
+        points, intensity = whole.points(), whole.intensity()
+        if output.surface_thickness > 0.0:
+            points, intensity = whole.surfaces(output.surface_thickness)
+        write_cloud(self.folder / f"map.{output.map_format}", points, intensity)
+
+
+def open_run_graph(folder: Path | str) -> RunGraph:
+    """Open the graph of a run that has ended.
+
+    Raises
+    ------
+    FormatError
+        It is no folder of a run, the run had no graph, or a file of it is missing or damaged.
+    """
+    folder = Path(folder)
+    facts = _facts(folder)
+    if "graph" not in facts:
+        raise FormatError(folder, "is a run without a graph (--no-graph, or it has not ended); run it again")
+    config = load_config(folder / "config.toml")
+    store = KeyframeStore.open(folder / KEYFRAMES)
+    ledger = read_ledger(folder / "loops.csv", config.loops)
+    T_odom = np.stack([store.T_odom_imu(index) for index in range(len(store))])
+    T = _levelled(facts, T_odom)
+    if ledger.accepted():
+        _, values = load_graph(folder / "graph.npz", factors=SENSOR_FACTORS)
+        keys = X(np.arange(len(store)))
+        if any(key not in values for key in keys.tolist()):
+            raise FormatError(folder / "graph.npz", f"does not hold the {len(store)} keyframes of the run; run it again")
+        T = np.ascontiguousarray(values.at(keys).matrix[:, :4, :4])
+    return RunGraph(folder=folder, config=config, facts=facts, store=store, ledger=ledger, T_map_imu=T)
+
+
+def _facts(folder: Path) -> dict[str, Any]:
+    path = folder / "run.json"
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FormatError(folder, f"is no folder of a run (run.json: {error}); name what `run` wrote") from error
+    if not isinstance(facts, dict):
+        raise FormatError(path, "is no account of a run; name the folder that `run` wrote")
+    return facts
+
+
+def _levelled(facts: Mapping[str, Any], T_odom_imu: Array) -> Array:
+    """Return the keyframes as a run without loops has them in its map."""
+    T_map_odom = np.array(facts.get("T_map_odom", np.eye(4).tolist()), dtype=np.float64)
+    return np.ascontiguousarray(T_map_odom @ T_odom_imu)

@@ -1,0 +1,101 @@
+"""The back-end on walks whose odometry drifts: it closes what was walked twice, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_worlds import drifting_walk
+
+from heliograph.config import RunConfig
+from heliograph.lie import se3
+from heliograph.slam import BackEnd, KeyframeStore
+
+
+def config(**slam):
+    base = RunConfig()
+    return replace(base, slam=replace(base.slam, loop_every=2, **slam), loops=replace(base.loops, apart=15))
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return drifting_walk()
+
+
+@pytest.fixture(scope="module")
+def closed(walk, tmp_path_factory):
+    back_end = BackEnd(config(), KeyframeStore.create(tmp_path_factory.mktemp("keyframes")))
+    updates = [back_end.add(keyframe) for keyframe in walk.keyframes]
+    back_end._store.close()
+    return back_end, updates
+
+
+def true_relative(walk, loop):
+    return se3.inverse(walk.T_true[loop.match]) @ walk.T_true[loop.query]
+
+
+def test_back_end_closes_the_loop(walk, closed):
+    back_end, _ = closed
+    T_odom = back_end.chain.T_odom_imu
+    assert back_end.closed
+    assert walk.rmse(back_end.T_map_imu) < 0.6 * walk.rmse(T_odom)
+    assert walk.error(back_end.T_map_imu) < 0.4 * walk.error(T_odom)
+
+
+def test_every_accepted_loop_is_right(walk, closed):
+    back_end, _ = closed
+    for entry in back_end.ledger.accepted():
+        off = se3.local(true_relative(walk, entry.evidence), entry.evidence.T_match_query)
+        assert np.linalg.norm(off[3:]) < 0.1
+        assert np.degrees(np.linalg.norm(off[:3])) < 1.0
+
+
+def test_corrected_poses_lie_within_their_covariance(walk, closed):
+    back_end, _ = closed
+    T, keys = back_end.T_map_imu, range(10, len(walk.keyframes), 10)
+    sigmas = []
+    for index in keys:
+        P = back_end.covariance(index)
+        d = se3.local(walk.T_true[0] @ se3.inverse(T[0]) @ T[index], walk.T_true[index])
+        sigmas.append(float(d @ np.linalg.solve(P, d)))
+    assert np.mean(sigmas) < 12.0  # of six degrees of freedom each, all correlated
+
+
+def test_map_moves_only_when_a_loop_is_closed(closed):
+    _, updates = closed
+    for update in updates:
+        accepted = [entry for entry in update.loops if entry.decision.verdict == "accepted"]
+        assert (update.moved > 0.0) == bool(accepted)
+        assert any(event.code == "loop" for event in update.events) == bool(accepted)
+
+
+def test_without_loops_the_graph_is_the_odometry(walk, tmp_path):
+    store = KeyframeStore.create(tmp_path)
+    back_end = BackEnd(config(loops=False), store)
+    for keyframe in walk.keyframes[:20]:
+        update = back_end.add(keyframe)
+        np.testing.assert_allclose(update.T_map_odom, np.eye(4), atol=1e-9)
+    store.close()
+    assert not back_end.closed
+    np.testing.assert_allclose(back_end.T_map_imu, back_end.chain.T_odom_imu, atol=1e-9)
+
+
+def test_replay_of_the_store_gives_the_same_map(closed):
+    back_end, _ = closed
+    again = BackEnd.replayed(config(), back_end._store, back_end.ledger)
+    np.testing.assert_allclose(again.T_map_imu, back_end.T_map_imu, atol=2e-4)
+
+
+def test_false_loop_by_hand_is_taken_back_by_the_solution(walk, tmp_path):
+    store = KeyframeStore.create(tmp_path)
+    back_end = BackEnd(config(), store)
+    for keyframe in walk.keyframes:
+        back_end.add(keyframe)
+    store.close()
+    before = back_end.T_map_imu
+    evidence = back_end.ledger.accepted()[-1].evidence
+    wrong = evidence.T_match_query @ se3.exp(np.array([0.0, 0.0, 0.2, 1.5, 0.0, 0.0]))
+    entry = back_end.ledger.add_by_hand(replace(evidence, T_match_query=np.ascontiguousarray(wrong)))
+    back_end._enforce([entry])
+    assert back_end.ledger[entry.number].decision.verdict == "revoked"
+    assert back_end.ledger[entry.number].decision.reason == "solve"
+    np.testing.assert_allclose(back_end.T_map_imu, before, atol=2e-3)
