@@ -266,7 +266,7 @@ class Account:
             graph, moved = slam.close(), slam.moved()
         except Exception as error:
             self.failure = self.failure or error
-        failure = self.failure
+        failure, final = self.failure, None if moved is None else FinalPoses(**moved._asdict())
         T_map_odom = np.asarray(odometry.leveling(), dtype=np.float64)
         status, reasons = judge(tally.statuses, sensors=sensors, held=tally.held, interrupted=self.interrupted)
         return tally.summary(
@@ -278,7 +278,7 @@ class Account:
             wall_seconds=self.clock.wall,
             seconds=dict(self.clock.seconds),
             T_map_odom=T_map_odom,
-            final_poses=None if moved is None else FinalPoses(**moved._asdict()),
+            **({} if final is None else {"final_poses": final, "start_end_gap": tally.gap(final)}),
             graph=graph,
             start=odometry.start,
             failure="" if failure is None else str(failure) or type(failure).__name__,

@@ -201,6 +201,13 @@ class Tally:
         self.held += any(event.code == "imu-held" for event in result.events)
         self.add_events(result.events)
 
+    def gap(self, final: FinalPoses) -> float:
+        """Return the distance between the first and the last position, where they have been after all [m]."""
+        T = final.T_map_odom(np.array(self._span, dtype=np.int64))
+        ends = np.stack([self._start, self._last])
+        first, last = np.einsum("nij,nj->ni", T[:, :3, :3], ends) + T[:, :3, 3]
+        return float(np.linalg.norm(last - first))
+
     def add_events(self, events: Iterable[Event]) -> None:
         """Fold in what a scan, the odometry or the recording had to say."""
         for event in fold_events((*self._events.values(), *events)):

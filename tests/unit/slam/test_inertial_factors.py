@@ -89,7 +89,7 @@ def test_graph_puts_the_map_level(tmp_path):
     tilt = np.radians(0.5)
     back_end = graph_of(keyframes(25, tilt=tilt), tmp_path)
     up = back_end.T_map_imu[-1, :3, 2]
-    assert np.degrees(np.arccos(np.clip(up[2], -1.0, 1.0))) < 0.1
+    assert np.degrees(np.arccos(np.clip(up[2], -1.0, 1.0))) < 0.2
 
 
 def test_gap_of_the_imu_leaves_a_graph(tmp_path):
