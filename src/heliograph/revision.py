@@ -148,7 +148,9 @@ def open_run_graph(folder: Path | str) -> RunGraph:
         _, values = load_graph(folder / "graph.npz", factors=SENSOR_FACTORS)
         keys = X(np.arange(len(store)))
         if any(key not in values for key in keys.tolist()):
-            raise FormatError(folder / "graph.npz", f"does not hold the {len(store)} keyframes of the run; run it again")
+            raise FormatError(
+                folder / "graph.npz", f"does not hold the {len(store)} keyframes of the run; run it again"
+            )
         T = np.ascontiguousarray(values.at(keys).matrix[:, :4, :4])
     return RunGraph(folder=folder, config=config, facts=facts, store=store, ledger=ledger, T_map_imu=T)
 

@@ -53,7 +53,8 @@ def _graph_line(graph: Mapping[str, Any]) -> str:
     if not loops["accepted"]:
         return line + f"no loop closed ({loops['candidates']} candidates)"
     revoked = f", {loops['revoked']} taken back" if loops["revoked"] else ""
-    return line + f"{loops['accepted']} loops of {loops['candidates']} candidates{revoked}; moved by up to {graph['moved_m']:.3f} m"
+    closed = f"{loops['accepted']} loops of {loops['candidates']} candidates{revoked}"
+    return f"{line}{closed}; moved by up to {graph['moved_m']:.3f} m"
 
 
 def warning_lines(facts: Mapping[str, Any]) -> list[str]:

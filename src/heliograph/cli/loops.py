@@ -94,7 +94,8 @@ def _explained(graph: RunGraph, entry: LedgerEntry, picture: Path) -> list[str]:
         f"overlap {e.overlap_query:.0%} of the query's local map, {e.overlap_match:.0%} of the match's; "
         f"{e.inliers:.0%} of the matches fit, residual median {1e3 * e.residuals.median:.1f} mm",
         f"sigma of the loop {1e3 * sigma[3:].max():.0f} mm, {np.degrees(sigma[:3].max()):.2f} deg; of odometry there "
-        f"{1e3 * odom[3:].max():.0f} mm, {np.degrees(odom[:3].max()):.2f} deg; disagreement chi2 {e.odom_mahalanobis:.1f}",
+        f"{1e3 * odom[3:].max():.0f} mm, {np.degrees(odom[:3].max()):.2f} deg",
+        f"squared distance of the two {e.odom_mahalanobis:.1f}, about 6 where they agree",
         f"not observable: {', '.join(e.blind) or 'nothing'}",
         f"blur of the joined maps {e.blur_before:.3f} before, {e.blur_after:.3f} after",
         f"picture: {picture}",
@@ -108,7 +109,9 @@ def _draw(graph: RunGraph, entry: LedgerEntry) -> Path:
 
     e, config = entry.evidence, graph.config.loops
     last = len(graph.store) - 1
-    target = local_map(graph.store, e.match, range(max(0, e.match - config.before), min(e.match + config.after, last) + 1))
+    target = local_map(
+        graph.store, e.match, range(max(0, e.match - config.before), min(e.match + config.after, last) + 1)
+    )
     source = local_map(graph.store, e.query, range(max(0, e.query - config.before), e.query + 1))
     path = graph.folder / f"loop_{entry.number}.png"
     draw_pair(path, target, source, e.T_match_query)

@@ -29,7 +29,9 @@ def run(
     ] = None,
     overwrite: options.Overwrite = False,
     reader: options.Reader = None,
-    odometry: Annotated[str | None, typer.Option("--odometry", metavar="NAME|FILE", help="Estimator, or poses of another system.")] = None,
+    odometry: Annotated[
+        str | None, typer.Option("--odometry", metavar="NAME|FILE", help="Estimator, or poses of another system.")
+    ] = None,
     sensors: Annotated[
         str | None,
         typer.Option("--sensors", metavar="LIST", help="lidar,imu | lidar | imu; default: what the recording holds."),

@@ -98,7 +98,8 @@ class BackEnd:
         self.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
         graph, values = self._step(keyframe)  # (2) where it starts, (3) what odometry and IMU say of the step
         self._smoother.update(graph, values)  # (4)
-        before, changed = self.T_map_imu, []
+        before = self.T_map_imu
+        changed: list[LedgerEntry] = []
         if self._config.slam.loops:
             for candidate in self._search.candidates(keyframe.index, before):  # (5) who looks like it
                 evidence = self._search.verified(keyframe.index, candidate)  # (6) does it match
@@ -160,7 +161,9 @@ class BackEnd:
 
     def _enforce(self, changed: Sequence[LedgerEntry]) -> list[LedgerEntry]:
         """Bring the ledger's decisions into the graph, and return what the solution makes of them."""
-        news = [entry for entry in changed if entry.decision.verdict == "accepted" and entry.number not in self._in_force]
+        news = [
+            entry for entry in changed if entry.decision.verdict == "accepted" and entry.number not in self._in_force
+        ]
         gone = [self._in_force.pop(entry.number) for entry in changed
                 if entry.decision.verdict == "revoked" and entry.number in self._in_force]  # fmt: skip
         if not news and not gone:

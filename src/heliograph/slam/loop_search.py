@@ -83,9 +83,7 @@ class LoopSearch:
         if count == 0 or query % self._slam.loop_every:
             return ()
         odometry, known = self._open(query, count)
-        away = np.minimum(
-            _distances(self._chain.T_odom_imu, query, count), _distances(T_map_imu, query, count)
-        )
+        away = np.minimum(_distances(self._chain.T_odom_imu, query, count), _distances(T_map_imu, query, count))
         reach = away <= self._slam.loop_reach + _SIGMAS * odometry[:, 0]
         worth = odometry[:, 0] >= self._slam.loop_worth
         sure = (known[:, 0] <= _PULLED_IN) & (known[:, 1] <= _TURNED_IN)

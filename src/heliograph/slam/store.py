@@ -118,7 +118,9 @@ class KeyframeStore:
         if self._entries and keyframe.stamp_ns <= self._entries[-1].stamp_ns:
             raise DataError(f"keyframe {keyframe.index} is not later than the one before it")
         content = _packed(keyframe)
-        entry = _Entry(keyframe.index, keyframe.stamp_ns, f"{keyframe.index:06d}.npz", len(content), zlib.crc32(content))
+        entry = _Entry(
+            keyframe.index, keyframe.stamp_ns, f"{keyframe.index:06d}.npz", len(content), zlib.crc32(content)
+        )
         with output_errors(self.path):
             (self.path / entry.file).write_bytes(content)
             if self._journal is None:
@@ -240,7 +242,7 @@ def _unpacked(file: Path, content: bytes) -> Keyframe:
             )
             rest = {f.name: arrays[f.name] for f in fields(Keyframe) if f.name not in ("imu", "intensity")}
             rest |= {"index": int(rest["index"]), "stamp_ns": int(rest["stamp_ns"])}
-            intensity = arrays["intensity"] if "intensity" in arrays else None
+            intensity = arrays["intensity"] if "intensity" in arrays.files else None
             return Keyframe(**rest, intensity=intensity, imu=imu)
     except (KeyError, ValueError, TypeError, DataError) as error:
         raise FormatError(file, f"is no keyframe ({error}); the store is damaged") from error

@@ -1,4 +1,4 @@
-"""Poses of another system: looked up by stamp, interpolated within reason, and honest about what they may have drifted."""
+"""Poses of another system: looked up by stamp, interpolated within reason, honest about what they may have drifted."""
 
 from dataclasses import replace
 
@@ -68,8 +68,8 @@ def test_poses_of_a_file_obey_the_law_of_odometries():
 
 
 def test_empty_trajectory_is_refused():
+    nothing = Trajectory(stamps_ns=np.zeros(0, np.int64), T_frame_body=np.zeros((0, 4, 4)))
     with pytest.raises(DataError, match="holds none"):
-        nothing = Trajectory(stamps_ns=np.zeros(0, np.int64), T_frame_body=np.zeros((0, 4, 4)))
         PoseFileOdometry(nothing, RunConfig(), np.eye(4))
 
 

@@ -29,9 +29,9 @@ def keyframes(count, *, blind=(), off=0.0, tilt=0.0, seed=0):
         t1 = STEP_S * index
         p, v, _ = moving(np.array(t1))
         slip += off if index in blind else 0.0
-        T = se3.from_rotation_translation(np.eye(3), p + [slip, 0.0, 0.0])
+        T = se3.from_rotation_translation(np.eye(3), p + np.array([slip, 0.0, 0.0]))
         stamps = np.arange(-1, round(STEP_S * RATE) + 1) / RATE + t1 - STEP_S
-        accel = moving(stamps)[2] + [0.0, 0.0, G] + 0.01 * rng.standard_normal((len(stamps), 3))
+        accel = moving(stamps)[2] + np.array([0.0, 0.0, G]) + 0.01 * rng.standard_normal((len(stamps), 3))
         imu = ImuBatch(
             stamps_ns=np.round(1e9 * (stamps + 100.0)).astype(np.int64),
             gyro=1e-3 * rng.standard_normal((len(stamps), 3)),

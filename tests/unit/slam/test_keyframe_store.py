@@ -31,7 +31,11 @@ def keyframe(index, rng=None, *, points=20, intensity=True, imu=5):
         points_imu=rng.normal(size=(points, 3)).astype(np.float32),
         intensity=rng.uniform(size=points).astype(np.float32) if intensity else None,
         imu=ImuBatch(
-            stamps_ns=stamps, gyro=rng.normal(size=(imu, 3)), accel=rng.normal(size=(imu, 3)), received_ns=7, frame_id="i"
+            stamps_ns=stamps,
+            gyro=rng.normal(size=(imu, 3)),
+            accel=rng.normal(size=(imu, 3)),
+            received_ns=7,
+            frame_id="i",
         ),
     )
 
@@ -108,7 +112,15 @@ def test_keyframe_file_that_was_changed_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "head", [b"", b"{}\n", b"[1]\n", b'{"format": "heliograph keyframes", "version": 99}\n', b"\xff\xfe\n", b"[" * 9999 + b"\n"]
+    "head",
+    [
+        b"",
+        b"{}\n",
+        b"[1]\n",
+        b'{"format": "heliograph keyframes", "version": 99}\n',
+        b"\xff\xfe\n",
+        b"[" * 9999 + b"\n",
+    ],
 )
 def test_journal_that_is_none_is_refused(tmp_path, head):
     (tmp_path / "journal.jsonl").write_bytes(head)

@@ -50,5 +50,7 @@ def read_poses(path: Path | str, *, stamped: bool = False, frame: str = "map", b
         return read_kitti(path, frame=frame, body=body)
     times = next((found for name in STAMP_FILES if (found := path.parent / name).is_file()), None)
     if times is None:
-        raise FormatError(path, f"holds KITTI rows, which have no times; put {STAMP_FILES[0]} with one stamp a row beside it")
+        raise FormatError(
+            path, f"holds KITTI rows, which have no times; put {STAMP_FILES[0]} with one stamp a row beside it"
+        )
     return read_kitti(path, times, frame=frame, body=body)

@@ -128,9 +128,7 @@ class _Pair:
         freeze(self)
 
 
-def _pair(
-    query: int, match: int, maps: LocalMaps, relative: RelativePose, config: LoopConfig, smear: float
-) -> _Pair:
+def _pair(query: int, match: int, maps: LocalMaps, relative: RelativePose, config: LoopConfig, smear: float) -> _Pair:
     begin = window_end(query, max(0, query - config.before), relative, smear)
     first = window_end(match, max(0, match - config.before), relative, smear)
     last = window_end(match, min(match + config.after, query - 1), relative, smear)
