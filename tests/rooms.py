@@ -45,7 +45,8 @@ ALLOWED: dict[str, set[str]] = {
     "odometry": COMMON | ODOMETRY,
     "graph": COMMON | {"lie"},
     "factors": COMMON | FACTORS,
-    "slam": COMMON | SLAM,
+    "slam": COMMON | SLAM | {"metrics"},
+    "revision": COMMON | SLAM | {"slam", "io", "output"},
     "calibration": COMMON | SLAM,
     "io": COMMON | SENSING,
     "sim": COMMON | SENSING,
@@ -58,7 +59,8 @@ ALLOWED: dict[str, set[str]] = {
     "lab": COMMON | SLAM | {"sim", "metrics", "slam"},
     "cli": COMMON
     | SLAM
-    | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report", "lab"},
+    | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report"}
+    | {"revision", "lab"},
 }
 """Room below `heliograph` -> the rooms that it may import."""
 
@@ -89,6 +91,7 @@ STOREYS: dict[str, dict[str, set[str]]] = {
         "sequencer": set(),
         "protocol": set(),
         "pose_result": set(),
+        "poses_of_file": {"pose_result", "protocol"},
         "filter": {"sequencer"},
         "follow": {"filter"},
         "registry": {"protocol", "filter"},

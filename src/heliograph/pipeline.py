@@ -97,7 +97,7 @@ def back_end(folder: Path | None, config: RunConfig, sensors: frozenset[str]) ->
         yield SlamSession(folder, config, poses_given=is_pose_file(config.odometry))
     else:
         with tempfile.TemporaryDirectory(prefix="heliograph_") as path:
-            yield SlamSession(Path(path), config, poses_given=is_pose_file(config.odometry))
+            yield SlamSession(Path(path), config, poses_given=is_pose_file(config.odometry), kept=False)
 
 
 def mounted(

@@ -11,7 +11,7 @@ import pytest
 
 import heliograph
 from heliograph.checks.records import CheckedMotion
-from heliograph.data import GnssFix, ImuBatch, Rig, Scan, Trajectory
+from heliograph.data import GnssFix, ImuBatch, Keyframe, Rig, Scan, Trajectory
 from heliograph.data.imu_record import ImuRecord
 from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose
 from heliograph.maps.global_map import MapCells
@@ -44,6 +44,14 @@ CHECKED = {
         "offsets_ns": np.zeros(2, np.int32),
         "intensity": np.zeros(2, np.float32),
         "ring": np.zeros(2, np.uint16),
+    },
+    Keyframe: {
+        "T_odom_imu": np.eye(4),
+        **{name: np.zeros(3) for name in ("v_odom", "gyro_bias", "accel_bias", "g_odom")},
+        **{name: np.eye(6) for name in ("step_covariance", "lidar_information")},
+        "points_imu": np.zeros((2, 3), np.float32),
+        "intensity": np.zeros(2, np.float32),
+        "imu": ImuBatch.joined([]),
     },
     Primitive: {"shape": "box", "center": np.zeros(3), "half": np.ones(3), "R_world_local": np.eye(3)},
     SO2: {"matrix": np.eye(2)},

@@ -30,7 +30,7 @@ class SlamConfig:
     level_sigma_deg : float
         What the first pose's level may be off where the odometry does not tell [deg].
     loop_every : int
-        One keyframe in so many looks for loops.
+        Loops are looked for at every n-th keyframe, n being this.
     loop_reach : float
         Distance at which two keyframes may still show the same place [m].
     loop_worth : float

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Scan, ScanResult, Trajectory
+from heliograph.data.error_layout import POSE_DIM, POSITION, ROTATION
 from heliograph.errors import DataError
-from heliograph.lie import interpolate_se3, se3
+from heliograph.lie import interpolate_se3, se3, so3
 from heliograph.odometry.pose_result import pose_result
 from heliograph.odometry.protocol import Odometry
 
@@ -98,16 +99,11 @@ class PoseFileOdometry(Odometry):
         """Return the covariance of rotation (body) and position (odom) at the next pose, (6, 6)."""
         if self._before is None:
             return np.zeros((6, 6))
-        before = self._before.T_odom_imu
-        step = se3.inverse(before) @ T
-        way = float(np.linalg.norm(step[:3, 3])) + float(np.linalg.norm(se3.log(step)[:3]))
-        carry = np.eye(6)  # an error of the earlier rotation moves the later position
-        carry[:3, :3] = step[:3, :3].T
-        arm = before[:3, :3] @ step[:3, 3]
-        carry[3:, :3] = -_cross(arm) @ before[:3, :3]
-        noise = np.diag([self._rotation**2 * way] * 3 + [self._position**2 * way] * 3)
-        return np.asarray(carry @ self._covariance @ carry.T + noise)
-
-
-def _cross(v: Array) -> Array:
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+        T_odom_before = self._before.T_odom_imu
+        R, moved = se3.inverse(T_odom_before)[:3, :3] @ T[:3, :3], T[:3, 3] - T_odom_before[:3, 3]
+        way = float(np.linalg.norm(moved)) + float(np.linalg.norm(so3.log(R)))
+        carry = np.eye(POSE_DIM)  # an error of the earlier rotation moves the later position
+        carry[ROTATION, ROTATION] = R.T
+        carry[POSITION, ROTATION] = -so3.hat(moved) @ T_odom_before[:3, :3]
+        noise = np.repeat([self._rotation**2 * way, self._position**2 * way], 3)
+        return np.asarray(carry @ self._covariance @ carry.T + np.diag(noise))

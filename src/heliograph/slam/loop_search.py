@@ -21,7 +21,7 @@ _SIGMAS = 3.0  # of the position, that a place may lie off
 _REMEMBERED = 8  # latest loops by which the graph may know the way
 _PULLED_IN = 0.3  # a position known so well needs no detector: registration finds the rest [m], one-sigma
 _TURNED_IN = np.radians(3.0)  # the same of rotation
-_ANCHOR = 5  # of places known so well one keyframe in so many is matched with: neighbours share its local map
+_ANCHOR = 5  # of places known so well every fifth keyframe is matched with: neighbours share its local map
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

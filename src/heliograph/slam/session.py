@@ -49,12 +49,14 @@ class SlamSession:
     config : RunConfig
     poses_given : bool
         Whether the poses are another system's: clouds that come slowly are then its keyframes.
+    kept : bool
+        Whether the folder stays, and the graph's files are written into it.
     """
 
-    def __init__(self, folder: Path, config: RunConfig, *, poses_given: bool = False) -> None:
+    def __init__(self, folder: Path, config: RunConfig, *, poses_given: bool = False, kept: bool = True) -> None:
         config = replace(config, slam=replace(config.slam, loop_every=1)) if poses_given else config
         self.events: list[Event] = []
-        self._folder = folder
+        self._folder = folder if kept else None
         self._selector = KeyframeSelector(config.slam, poses_given=poses_given)
         self.store = KeyframeStore.create(folder / KEYFRAMES)
         self.back_end = BackEnd(config, self.store)
@@ -84,7 +86,7 @@ class SlamSession:
     def close(self) -> GraphAccount:
         """Release the store, write the graph's files and return the account."""
         self.store.close()
-        files = write_graph_files(self._folder, self.back_end) if len(self.store) else ()
+        files = write_graph_files(self._folder, self.back_end) if self._folder is not None and len(self.store) else ()
         return self.back_end.account(files=files)
 
 
