@@ -96,6 +96,10 @@ class OdometryChain:
         """All poses, (K, 4, 4)."""
         return np.stack(self._poses) if self._poses else np.zeros((0, 4, 4))
 
+    def pose(self, index: int) -> Array:
+        """Return a keyframe's pose (4, 4)."""
+        return self._poses[index]
+
     def relative(self, i: int, j: int) -> tuple[Array, Array]:
         """Return ``T_i_j`` (4, 4) by the odometry, and the covariance of a right perturbation of it (6, 6)."""
         T = se3.inverse(self._poses[i]) @ self._poses[j]

@@ -21,6 +21,9 @@ _SIGMAS = 3.0  # of the position, that a place may lie off
 _REMEMBERED = 8  # latest loops by which the graph may know the way
 _PULLED_IN = 0.3  # a position known so well needs no detector: registration finds the rest [m], one-sigma
 _TURNED_IN = np.radians(3.0)  # the same of rotation
+_DESCRIBED = 2  # every second keyframe has a descriptor: its neighbours look like it
+_CATCH_UP = 4  # descriptors made at one keyframe, so that none has to wait for hundreds
+_MOST_POINTS = 30_000  # of a local map that is described
 _ANCHOR = 5  # of places known so well every fifth keyframe is matched with: neighbours share its local map
 
 
@@ -44,6 +47,19 @@ class Candidate:
         freeze(self)
 
 
+class _Clouds:
+    """The keyframes' clouds, from the store, and their poses, which are in memory."""
+
+    def __init__(self, store: KeyframeStore, chain: OdometryChain) -> None:
+        self._store, self._chain = store, chain
+
+    def points(self, index: int) -> Points:
+        return self._store.points(index)
+
+    def T_odom_imu(self, index: int) -> Array:
+        return self._chain.pose(index)
+
+
 class LoopSearch:
     """Descriptors and local maps of all keyframes so far.
 
@@ -58,9 +74,11 @@ class LoopSearch:
     def __init__(
         self, store: KeyframeStore, chain: OdometryChain, slam: SlamConfig, places: PlacesConfig, loops: LoopConfig
     ) -> None:
-        self._store, self._chain, self._slam, self._config = store, chain, slam, loops
+        self._chain, self._slam, self._config = chain, slam, loops
+        self._clouds = _Clouds(store, chain)
         self._detector = make_detector(places)
-        self._maps = LocalMaps(store, loop_align_config(loops))
+        self._described: list[int] = []
+        self._maps = LocalMaps(self._clouds, loop_align_config(loops))
         self._standing: tuple[LoopEvidence, ...] = ()
 
     def closed(self, loops: Sequence[LoopEvidence]) -> None:
@@ -80,6 +98,8 @@ class LoopSearch:
             Poses of all keyframes as the graph has them now.
         """
         count = max(0, query - self._config.apart)
+        if count and self._variances(query, np.zeros(1, np.int64))[0, 0] > (0.5 * _PULLED_IN) ** 2:
+            self._describe(query)  # a detector will be needed soon
         if count == 0 or query % self._slam.loop_every:
             return ()
         odometry, known = self._open(query, count)
@@ -134,28 +154,32 @@ class LoopSearch:
         return Candidate(match=match, score=float("nan"), starts=(self._by_graph(query, match, T_map_imu),))
 
     def _alike(self, query: int, allowed: Mask, T_map_imu: Array) -> list[Candidate]:
-        self._describe(query)
-        points = self._level(query)
-        mask = np.zeros(len(self._detector), dtype=bool)
-        mask[: len(allowed)] = allowed
+        indices = np.array(self._described, dtype=np.int64)
+        mask = np.zeros(len(indices), dtype=bool)
+        old = indices < len(allowed)
+        mask[old] = allowed[indices[old]]
+        if not mask.any():
+            return []
         found = []
-        for place in self._detector.query(points, allowed=mask, top=self._config.candidates):
+        for place in self._detector.query(self._level(query), allowed=mask, top=self._config.candidates):
             starts = [self._by_graph(query, place.index, T_map_imu)]
             if not place.yaw_only:
-                T = body_guess(place.T_match_query, self._store.T_odom_imu(place.index), self._store.T_odom_imu(query))
-                starts.append(LoopStart(source="place", T_match_query=T))
+                poses = self._chain.pose(place.index), self._chain.pose(query)
+                starts.append(LoopStart(source="place", T_match_query=body_guess(place.T_match_query, *poses)))
             found.append(Candidate(match=place.index, score=place.score, starts=tuple(starts)))
         return found
 
     def _describe(self, query: int) -> None:
-        """Bring the detector up to date: descriptors are made when they are first needed."""
-        for index in range(len(self._detector), query):
+        """Bring the detector up to date, some keyframes at a time: it may never be needed, and then all at once."""
+        begin = self._described[-1] + _DESCRIBED if self._described else 0
+        for index in range(begin, query, _DESCRIBED)[:_CATCH_UP]:
             self._detector.add(index, self._detector.describe(self._level(index)))
+            self._described.append(index)
 
     def _level(self, index: int) -> Points:
         first = max(0, index - self._config.before)
-        points = local_map(self._store, index, range(first, index + 1))
-        return level_points(points, self._store.T_odom_imu(index))
+        points = local_map(self._clouds, index, range(first, index + 1))
+        return level_points(points[:: 1 + len(points) // _MOST_POINTS], self._chain.pose(index))
 
     def _by_graph(self, query: int, match: int, T_map_imu: Array) -> LoopStart:
         T = np.ascontiguousarray(se3.inverse(T_map_imu[match]) @ T_map_imu[query])

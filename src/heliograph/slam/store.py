@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import zlib
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -23,7 +24,15 @@ __all__ = ["KeyframeStore"]
 _JOURNAL, _FORMAT, _VERSION = "journal.jsonl", "heliograph keyframes", 1
 _CACHED = 64  # keyframes held in memory
 _LARGEST = 1 << 30  # bytes that one keyframe may claim: 60 million points
-_IMU = ("stamps_ns", "gyro", "accel")
+_NUMBERS = {
+    "T_odom_imu": (4, 4),
+    "v_odom": (3,),
+    "gyro_bias": (3,),
+    "accel_bias": (3,),
+    "g_odom": (3,),
+    "step_covariance": (6, 6),
+    "lidar_information": (6, 6),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,11 +231,16 @@ def _whole_entries(path: Path, lines: list[bytes]) -> Iterator[_Entry]:
 
 
 def _packed(keyframe: Keyframe) -> bytes:
-    arrays = {f.name: getattr(keyframe, f.name) for f in fields(Keyframe) if f.name not in ("imu", "intensity")}
+    arrays: dict[str, Any] = {
+        "numbers": np.concatenate([getattr(keyframe, name).ravel() for name in _NUMBERS]),
+        "integers": np.array([keyframe.index, keyframe.stamp_ns, keyframe.imu.received_ns], dtype=np.int64),
+        "points_imu": keyframe.points_imu,
+        "imu_stamps_ns": keyframe.imu.stamps_ns,
+        "imu_samples": np.hstack([keyframe.imu.gyro, keyframe.imu.accel]),
+        "imu_frame_id": keyframe.imu.frame_id,
+    }
     if keyframe.intensity is not None:
         arrays["intensity"] = keyframe.intensity
-    arrays |= {f"imu_{name}": getattr(keyframe.imu, name) for name in _IMU}
-    arrays["imu_received_ns"], arrays["imu_frame_id"] = keyframe.imu.received_ns, keyframe.imu.frame_id
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
     return buffer.getvalue()
@@ -235,14 +249,23 @@ def _packed(keyframe: Keyframe) -> bytes:
 def _unpacked(file: Path, content: bytes) -> Keyframe:
     try:
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            index, stamp_ns, received_ns = arrays["integers"].tolist()
+            samples = arrays["imu_samples"]
             imu = ImuBatch(
-                **{name: arrays[f"imu_{name}"] for name in _IMU},
-                received_ns=int(arrays["imu_received_ns"]),
+                stamps_ns=arrays["imu_stamps_ns"],
+                gyro=np.ascontiguousarray(samples[:, :3]),
+                accel=np.ascontiguousarray(samples[:, 3:]),
+                received_ns=received_ns,
                 frame_id=str(arrays["imu_frame_id"]),
             )
-            rest = {f.name: arrays[f.name] for f in fields(Keyframe) if f.name not in ("imu", "intensity")}
-            rest |= {"index": int(rest["index"]), "stamp_ns": int(rest["stamp_ns"])}
-            intensity = arrays["intensity"] if "intensity" in arrays.files else None
-            return Keyframe(**rest, intensity=intensity, imu=imu)
-    except (KeyError, ValueError, TypeError, DataError) as error:
+            parts = np.split(arrays["numbers"], np.cumsum([math.prod(shape) for shape in _NUMBERS.values()])[:-1])
+            return Keyframe(
+                index=index,
+                stamp_ns=stamp_ns,
+                **{name: part.reshape(_NUMBERS[name]) for name, part in zip(_NUMBERS, parts, strict=True)},
+                points_imu=arrays["points_imu"],
+                intensity=arrays["intensity"] if "intensity" in arrays.files else None,
+                imu=imu,
+            )
+    except (KeyError, ValueError, TypeError, IndexError, DataError) as error:
         raise FormatError(file, f"is no keyframe ({error}); the store is damaged") from error
