@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,11 +60,14 @@ class PoseFileOdometry(Odometry):
         """Return the result of a scan that has a pose; other messages say nothing here."""
         if not isinstance(message, Scan):
             return []
-        T = self._pose_at(message.header_stamp_ns)
-        if T is None or (self._before is not None and message.end_ns <= self._before.end_ns):
-            self._first_left_ns = self._first_left_ns or message.header_stamp_ns
+        stamp_ns = message.header_stamp_ns
+        T = self._pose_at(stamp_ns)
+        if T is None or (self._before is not None and stamp_ns <= self._before.end_ns):
+            self._first_left_ns = self._first_left_ns or stamp_ns
             self._left_out += 1
             return []
+        # A de-skewed cloud is one of an instant, whatever its points' own times say.
+        message = replace(message, stamp_ns=stamp_ns, end_ns=stamp_ns, offsets_ns=np.zeros_like(message.offsets_ns))
         self._covariance = self._grown(T)
         result = pose_result(
             message, self._count, T, before=self._before, T_imu_lidar=self._T_imu_lidar, covariance=self._covariance,

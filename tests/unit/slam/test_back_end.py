@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_worlds import drifting_walk
+from tests.slam_worlds import drifting_walk
 
 from heliograph.config import RunConfig
 from heliograph.lie import se3
