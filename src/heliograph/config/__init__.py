@@ -3,6 +3,7 @@
 from heliograph.config.calibration import CalibrationConfig
 from heliograph.config.checks import CheckConfig
 from heliograph.config.files import InputConfig, OutputConfig
+from heliograph.config.loops import LoopConfig, PlacesConfig
 from heliograph.config.odometry import CloudConfig, FilterConfig, ImuConfig, MapConfig
 from heliograph.config.registration import AlignConfig, GlobalAlignConfig, KdTreeMapConfig
 from heliograph.config.run import RunConfig
@@ -17,7 +18,9 @@ __all__ = [
     "ImuConfig",
     "InputConfig",
     "KdTreeMapConfig",
+    "LoopConfig",
     "MapConfig",
     "OutputConfig",
+    "PlacesConfig",
     "RunConfig",
 ]

@@ -1,0 +1,1 @@
+"""Graph SLAM: keyframes, places, loops, the back-end."""

@@ -1,0 +1,36 @@
+"""Loops: places propose, registration decides, the ledger remembers. What decides is a function of records."""
+
+from heliograph.slam.loops.consistency import cycle_mahalanobis, maximum_clique
+from heliograph.slam.loops.judge import agreements, judge, judge_together
+from heliograph.slam.loops.ledger import Ledger, LedgerEntry
+from heliograph.slam.loops.records import (
+    REASONS,
+    LoopDecision,
+    LoopEvidence,
+    LoopStart,
+    RelativePose,
+    Verdict,
+)
+from heliograph.slam.loops.submaps import LocalMaps, Submaps, local_map
+from heliograph.slam.loops.verify import loop_align_config, verify
+
+__all__ = [
+    "REASONS",
+    "Ledger",
+    "LedgerEntry",
+    "LocalMaps",
+    "LoopDecision",
+    "LoopEvidence",
+    "LoopStart",
+    "RelativePose",
+    "Submaps",
+    "Verdict",
+    "agreements",
+    "cycle_mahalanobis",
+    "judge",
+    "judge_together",
+    "local_map",
+    "loop_align_config",
+    "maximum_clique",
+    "verify",
+]

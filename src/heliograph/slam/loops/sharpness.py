@@ -1,0 +1,64 @@
+"""What joining two local maps at a pose does to their sharpness: a wall beside a wall is a blur."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.arrays import Array, Points
+
+__all__ = ["joined_blur"]
+
+_MIN_POINTS = 4  # of each local map in a cube that counts
+_MIN_SIGMA_M = 5e-3  # of a cube's thickness: below it, a plane is as sharp as it need be
+_THINNED = 20_000  # points of each local map that are looked at: the mean over their cubes is good to a hundredth
+
+
+def joined_blur(target: Points, source: Points, T_target_source: Array, edge: float) -> float:
+    """Return by how much the entropy of cubes grows when the points of two clouds are joined in them [nat].
+
+    Entropy is that of the points' Gaussian, as in `heliograph.metrics.map_sharpness`, here over the cubes that both
+    clouds reach and less the mean of the two clouds' own: what only one reaches does not change, and would drown the
+    rest. NaN where they reach no cube together.
+
+    Parameters
+    ----------
+    target, source : (N, 3) float32
+        Clouds, finite [m].
+    T_target_source : (4, 4) float64
+        The pose.
+    edge : float
+        Of a cube [m].
+    """
+    a, b = (cloud[:: max(1, len(cloud) // _THINNED)] for cloud in (target, source))
+    moved = b @ T_target_source[:3, :3].T.astype(np.float32) + T_target_source[:3, 3].astype(np.float32)
+    cells = np.floor(np.concatenate([a, moved]) / np.float32(edge)).astype(np.int64)
+    cells -= cells.min(axis=0)
+    size = cells.max(axis=0) + 1
+    keys, which = np.unique((cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2], return_inverse=True)
+    first, second = (_moments(p, w, len(keys)) for p, w in ((a, which[: len(a)]), (moved, which[len(a) :])))
+    both = (first[0] >= _MIN_POINTS) & (second[0] >= _MIN_POINTS)
+    if not both.any():
+        return float("nan")
+    own = [_entropy(*(x[both] for x in part)) for part in (first, second)]
+    joined = _entropy(*((x + y)[both] for x, y in zip(first, second, strict=True)))
+    return float(np.average(joined - 0.5 * (own[0] + own[1]), weights=np.minimum(first[0], second[0])[both]))
+
+
+def _moments(points: Points, which: NDArray[np.int64], cells: int) -> tuple[Array, Array, Array]:
+    """Count, sum (K, 3) and sum of products (K, 3, 3) of each cell's points."""
+    p = points.astype(np.float64)
+    count = np.bincount(which, minlength=cells).astype(np.float64)
+    total = np.stack([np.bincount(which, p[:, i], cells) for i in range(3)], axis=1)
+    products = np.empty((cells, 3, 3))
+    for i in range(3):
+        for j in range(i, 3):
+            products[:, i, j] = products[:, j, i] = np.bincount(which, p[:, i] * p[:, j], cells)
+    return count, total, products
+
+
+def _entropy(count: Array, total: Array, products: Array) -> Array:
+    mean = total / count[:, None]
+    covariance = products / count[:, None, None] - mean[:, :, None] * mean[:, None, :]
+    values = np.maximum(np.linalg.eigvalsh(covariance), _MIN_SIGMA_M**2)
+    return np.asarray(0.5 * np.log(2.0 * np.pi * np.e * values).sum(axis=1))

@@ -1,0 +1,74 @@
+"""Local maps of keyframes: what is matched when two places are compared."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from heliograph.arrays import Array, Points
+from heliograph.config import AlignConfig
+from heliograph.lie import se3
+from heliograph.registration import PreparedCloud, prepare_cloud
+
+__all__ = ["LocalMaps", "Submaps", "local_map"]
+
+
+@runtime_checkable
+class Submaps(Protocol):
+    """Where the clouds and poses of keyframes come from, such as the store of a run."""
+
+    def points(self, index: int) -> Points:
+        """Return a keyframe's cloud (N, 3) float32 in its body frame [m]."""
+        ...
+
+    def T_odom_imu(self, index: int) -> Array:
+        """Return a keyframe's pose (4, 4)."""
+        ...
+
+
+def local_map(submaps: Submaps, centre: int, members: Iterable[int]) -> Points:
+    """Return the clouds of some keyframes in the body frame of one of them, (N, 3) float32."""
+    T_centre_odom = se3.inverse(submaps.T_odom_imu(centre))
+    parts = []
+    for index in members:
+        T = T_centre_odom @ submaps.T_odom_imu(index)
+        cloud = submaps.points(index)
+        parts.append(cloud @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32))
+    return np.ascontiguousarray(np.concatenate(parts), dtype=np.float32) if parts else np.zeros((0, 3), np.float32)
+
+
+class LocalMaps:
+    """Local maps around keyframes, prepared for registration; the latest used are kept.
+
+    Parameters
+    ----------
+    submaps : Submaps
+    config : AlignConfig
+        What they are prepared with; they are seen from many origins, so ``one_sided`` must be off.
+    kept : int
+        Number of maps kept.
+    """
+
+    def __init__(self, submaps: Submaps, config: AlignConfig, *, kept: int = 64) -> None:
+        self.submaps, self.config = submaps, config
+        self._kept = kept
+        self._maps: OrderedDict[tuple[int, int, int], PreparedCloud] = OrderedDict()
+
+    def around(self, centre: int, first: int, last: int) -> PreparedCloud:
+        """Return the map of keyframes ``first`` to ``last`` (both included) in the body frame of ``centre``."""
+        key = (centre, first, last)
+        if key in self._maps:
+            self._maps.move_to_end(key)
+        else:
+            points = local_map(self.submaps, centre, range(first, last + 1))
+            self._maps[key] = prepare_cloud(points, self.config, name=f"local map of keyframe {centre}")
+            while len(self._maps) > self._kept:
+                self._maps.popitem(last=False)
+        return self._maps[key]
+
+    def clear(self) -> None:
+        """Forget the maps: poses have moved."""
+        self._maps.clear()

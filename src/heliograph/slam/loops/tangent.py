@@ -1,0 +1,28 @@
+"""Distances between poses, and covariances carried along chains of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from heliograph.arrays import Array
+from heliograph.lie import se3
+
+__all__ = ["inverse_with_covariance", "mahalanobis", "near"]
+
+
+def mahalanobis(A: Array, B: Array, covariance: Array) -> float:
+    """Return the squared length of ``Log(A^-1 B)`` in a covariance of right perturbations."""
+    d = se3.log(se3.inverse(A) @ B)
+    return float(d @ np.linalg.solve(covariance, d))
+
+
+def near(A: Array, B: Array, distance: float, angle_deg: float) -> bool:
+    """Whether two poses (4, 4) are one to within a distance [m] and an angle [deg]."""
+    d = se3.log(se3.inverse(A) @ B)
+    return bool(np.linalg.norm(d[3:]) <= distance and np.linalg.norm(d[:3]) <= np.radians(angle_deg))
+
+
+def inverse_with_covariance(T_a_b: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return ``T_b_a`` and its covariance from those of ``T_a_b``: ``(T exp(x))^-1 = T^-1 exp(-Ad(T) x)``."""
+    adjoint = se3.adjoint(T_a_b)
+    return se3.inverse(T_a_b), np.asarray(adjoint @ covariance @ adjoint.T)
