@@ -68,8 +68,13 @@ class LoopConfig:
     ----------
     before, after : int
         Keyframes before and after one that make its local map; a query has none after it.
+    max_smear : float
+        Local maps reach no further than odometry's one-sigma of what is seen ten metres away stays below this [m].
     apart : int
         Keyframes that must lie between a query and a candidate: what is nearer, odometry has matched itself.
+    reach, reach_up : float
+        Distance between a query and a candidate, level and in height, beyond three sigmas of odometry's, at which they
+        may still see the same [m].
     candidates : int
         Places asked for a query.
     voxel, levels : float, int
@@ -110,7 +115,10 @@ class LoopConfig:
 
     before: int = 9
     after: int = 5
+    max_smear: float = 0.15
     apart: int = 30
+    reach: float = 12.0
+    reach_up: float = 2.0
     candidates: int = 5
     voxel: float = 0.25
     levels: int = 4
@@ -136,7 +144,20 @@ class LoopConfig:
         check_range(self, "before", "after", "max_blind", "min_sequence", low=0)
         check_range(self, "apart", "candidates", "compared", "min_clique", low=1)
         check_range(self, "levels", low=1, high=8)
-        check_range(self, "voxel", "sigma", "sigma_deg", "same", "same_deg", "max_residual", "window", above=0.0)
+        check_range(
+            self,
+            "voxel",
+            "sigma",
+            "sigma_deg",
+            "same",
+            "same_deg",
+            "max_residual",
+            "max_smear",
+            "window",
+            "reach",
+            "reach_up",
+            above=0.0,
+        )
         check_range(self, "min_overlap", "min_inliers", low=0.0, high=1.0)
         check_range(self, "gate_probability", "consistency_probability", above=0.0, below=1.0)
         check_range(self, "min_lead", low=1.0)

@@ -11,6 +11,7 @@ from heliograph.slam.loops.records import (
     RelativePose,
     Verdict,
 )
+from heliograph.slam.loops.search import verify_places, within_reach
 from heliograph.slam.loops.submaps import LocalMaps, Submaps, local_map
 from heliograph.slam.loops.verify import loop_align_config, verify
 
@@ -33,4 +34,6 @@ __all__ = [
     "loop_align_config",
     "maximum_clique",
     "verify",
+    "verify_places",
+    "within_reach",
 ]

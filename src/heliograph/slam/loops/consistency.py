@@ -21,21 +21,32 @@ from heliograph.slam.loops.tangent import inverse_with_covariance
 __all__ = ["cycle_mahalanobis", "maximum_clique"]
 
 
-def cycle_mahalanobis(a: LoopEvidence, b: LoopEvidence, relative: RelativePose) -> float:
-    """Return the squared distance from the identity of the cycle that two loops close with odometry ([1]_ eq. 5).
+def cycle_mahalanobis(loop: LoopEvidence, others: Sequence[LoopEvidence], relative: RelativePose) -> Array:
+    """Return the squared distance from the identity of the cycles that a loop closes with others (N,) ([1]_ eq. 5).
 
-    The cycle is match a, match b, query b, query a, match a. Chi-square with six degrees of freedom where the two agree
-    and the covariances are true.
+    A cycle is match a, match b, query b, query a, match a. Chi-square with six degrees of freedom where the two loops
+    agree and the covariances are true.
+
+    Parameters
+    ----------
+    loop : LoopEvidence
+        Loop a.
+    others : sequence of LoopEvidence
+        Loops b.
+    relative : callable
+        Keyframes a < b -> ``T_a_b`` of odometry and its covariance.
     """
-    T_ma_mb, S_m = _between(a.match, b.match, relative)
-    T_qb_qa, S_q = _between(b.query, a.query, relative)
-    T_a, T_b = a.T_match_query, b.T_match_query
-    rest = T_b @ T_qb_qa @ se3.inverse(T_a)  # mb to ma
+    if not others:
+        return np.zeros(0)
+    T_ma_mb, S_m = _between([(loop.match, b.match) for b in others], relative)
+    T_qb_qa, S_q = _between([(b.query, loop.query) for b in others], relative)
+    T_b, S_b = np.stack([b.T_match_query for b in others]), np.stack([b.covariance for b in others])
+    rest = T_b @ T_qb_qa @ se3.inverse(loop.T_match_query)  # mb to ma
     d = se3.log(T_ma_mb @ rest)
     covariance = _carried(S_m, se3.inverse(rest))
-    covariance += _carried(b.covariance, T_a @ se3.inverse(T_qb_qa))
-    covariance += _carried(S_q + a.covariance, T_a)
-    return float(d @ np.linalg.solve(covariance, d))
+    covariance += _carried(S_b, loop.T_match_query @ se3.inverse(T_qb_qa))
+    covariance += _carried(S_q + loop.covariance, np.broadcast_to(loop.T_match_query, T_b.shape))
+    return np.asarray(np.einsum("ni,ni->n", d, np.linalg.solve(covariance, d[..., None])[..., 0]))
 
 
 def maximum_clique(adjacent: Mask) -> tuple[int, ...]:
@@ -59,25 +70,33 @@ def maximum_clique(adjacent: Mask) -> tuple[int, ...]:
         for other in np.flatnonzero(adjacent[node]).tolist():
             if other != node:
                 neighbours[place[node]] |= 1 << place[other]
-    best: list[int] = []
-    stack: list[tuple[list[int], int]] = [([], (1 << n) - 1)]
+    best = _greedy(neighbours)
+    stack: list[tuple[list[int], int, int]] = [([], (1 << n) - 1, n)]  # chosen, candidates, bound
     while stack:
-        chosen, candidates = stack.pop()
+        chosen, candidates, bound = stack.pop()
+        if bound <= len(best):
+            continue
         if not candidates:
-            best = chosen if len(chosen) > len(best) else best
+            best = chosen
             continue
         branches = []
         for node, colours in _coloured(candidates, neighbours):
-            # Nodes before this one in the colouring are those that a clique which holds it may still take.
-            branches.append((node, colours, candidates & neighbours[node]))
+            # Those left of the colouring are what a clique with this node, and none before it, may still take.
+            branches.append(([*chosen, node], candidates & neighbours[node], len(chosen) + colours))
             candidates &= ~(1 << node)
-        # The node with the most colours is taken first, so it goes onto the stack last.
-        stack += [
-            ([*chosen, node], left)
-            for node, colours, left in reversed(branches)
-            if len(chosen) + colours > len(best)
-        ]
+        # The highest bound is looked at first.
+        stack += [branch for branch in reversed(branches) if branch[2] > len(best)]
     return tuple(sorted(order[bit] for bit in best))
+
+
+def _greedy(neighbours: Sequence[int]) -> list[int]:
+    """Return a clique that no node could join: the best so far, which prunes near-complete graphs at once."""
+    chosen, left = [], (1 << len(neighbours)) - 1
+    while left:
+        node = (left & -left).bit_length() - 1
+        chosen.append(node)
+        left &= neighbours[node]
+    return chosen
 
 
 def _coloured(candidates: int, neighbours: Sequence[int]) -> list[tuple[int, int]]:
@@ -96,15 +115,17 @@ def _coloured(candidates: int, neighbours: Sequence[int]) -> list[tuple[int, int
     return out
 
 
-def _between(first: int, second: int, relative: RelativePose) -> tuple[Array, Array]:
-    if first == second:
-        return np.eye(4), np.zeros((6, 6))
-    if first < second:
-        return relative(first, second)
-    return inverse_with_covariance(*relative(second, first))
+def _between(pairs: Sequence[tuple[int, int]], relative: RelativePose) -> tuple[Array, Array]:
+    poses, covariances = np.tile(np.eye(4), (len(pairs), 1, 1)), np.zeros((len(pairs), 6, 6))
+    for k, (first, second) in enumerate(pairs):
+        if first < second:
+            poses[k], covariances[k] = relative(first, second)
+        elif second < first:
+            poses[k], covariances[k] = inverse_with_covariance(*relative(second, first))
+    return poses, covariances
 
 
-def _carried(covariance: Array, T: Array) -> Array:
-    """Covariance of a perturbation that is followed by ``T^-1``."""
+def _carried(covariances: Array, T: Array) -> Array:
+    """Covariances of perturbations that are followed by ``T^-1``, (N, 6, 6)."""
     adjoint = se3.adjoint(T)
-    return np.asarray(adjoint @ covariance @ adjoint.T)
+    return np.asarray(adjoint @ covariances @ np.swapaxes(adjoint, -1, -2))

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from heliograph.arrays import Array, Mask
-from heliograph.chi_square import chi_square_quantile
 from heliograph.config import LoopConfig
 from heliograph.slam.loops.consistency import cycle_mahalanobis, maximum_clique
 from heliograph.slam.loops.records import LoopDecision, LoopEvidence, RelativePose
+from heliograph.slam.loops.tangent import gate_of
 
 __all__ = ["agreements", "judge", "judge_together"]
 
@@ -28,7 +28,7 @@ def judge(evidence: LoopEvidence, config: LoopConfig | None = None) -> LoopDecis
     e = evidence
     if e.status not in ("converged", "degenerate"):
         return LoopDecision(verdict="rejected", reason="no-pose", numbers={"overlap": e.overlap})
-    gate = chi_square_quantile(c.gate_probability, 6)
+    gate = gate_of(c.gate_probability)
     if not e.odom_mahalanobis <= gate:
         off = {"chi2": e.odom_mahalanobis, "allowed": gate, "distance_m": e.disagreement}
         return LoopDecision(verdict="rejected", reason="odometry", numbers=off)
@@ -53,8 +53,8 @@ def agreements(
     evidence: LoopEvidence, others: Sequence[LoopEvidence], relative: RelativePose, config: LoopConfig | None = None
 ) -> Mask:
     """Return which of the others close a cycle with this loop that odometry allows, (N,)."""
-    gate = chi_square_quantile((config or LoopConfig()).consistency_probability, 6)
-    return np.array([cycle_mahalanobis(evidence, other, relative) <= gate for other in others], dtype=bool)
+    gate = gate_of((config or LoopConfig()).consistency_probability)
+    return np.asarray(cycle_mahalanobis(evidence, others, relative) <= gate)
 
 
 def judge_together(
@@ -89,7 +89,7 @@ def judge_together(
     if len({loops[k].query for k in members}) < c.min_clique:
         return tuple(decisions)
     others = [k for k in np.flatnonzero(sure).tolist() if k not in clique]
-    rival = len(_largest(agree, np.array(others, dtype=np.int64)))
+    rival = len(_largest(agree, np.array(others, dtype=np.int64))) if others else 0
     out = list(decisions)
     for k, (loop, decision) in enumerate(zip(loops, decisions, strict=True)):
         with_it = [m for m in members if m != k and agree[k, m]]

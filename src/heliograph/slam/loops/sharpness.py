@@ -11,7 +11,7 @@ __all__ = ["joined_blur"]
 
 _MIN_POINTS = 4  # of each local map in a cube that counts
 _MIN_SIGMA_M = 5e-3  # of a cube's thickness: below it, a plane is as sharp as it need be
-_THINNED = 20_000  # points of each local map that are looked at: the mean over their cubes is good to a hundredth
+_THINNED = 10_000  # points of each local map that are looked at: the mean over their cubes is good to a hundredth
 
 
 def joined_blur(target: Points, source: Points, T_target_source: Array, edge: float) -> float:

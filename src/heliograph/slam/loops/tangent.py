@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from heliograph.arrays import Array
+from heliograph.chi_square import chi_square_quantile
 from heliograph.lie import se3
 
-__all__ = ["inverse_with_covariance", "mahalanobis", "near"]
+__all__ = ["gate_of", "inverse_with_covariance", "mahalanobis", "near"]
+
+
+@lru_cache(maxsize=32)
+def gate_of(probability: float) -> float:
+    """Return the squared distance that six degrees of freedom stay below with a probability."""
+    return chi_square_quantile(probability, 6)
 
 
 def mahalanobis(A: Array, B: Array, covariance: Array) -> float:

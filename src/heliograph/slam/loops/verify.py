@@ -8,17 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from heliograph.arrays import Array, freeze
-from heliograph.chi_square import chi_square_quantile
 from heliograph.config import AlignConfig, LoopConfig
 from heliograph.errors import DataError
 from heliograph.lie import se3
 from heliograph.registration import AlignResult, PreparedCloud, align
-from heliograph.slam.loops.records import LoopEvidence, LoopStart
+from heliograph.slam.loops.records import LoopEvidence, LoopStart, RelativePose
 from heliograph.slam.loops.sharpness import joined_blur
 from heliograph.slam.loops.submaps import LocalMaps
-from heliograph.slam.loops.tangent import mahalanobis, near
+from heliograph.slam.loops.tangent import gate_of, mahalanobis, near
 
-__all__ = ["loop_align_config", "verify"]
+__all__ = ["loop_align_config", "verify", "window_end"]
+
+_LEVER_M = 10.0  # distance at which a local map's turn is counted as smear
 
 
 def loop_align_config(config: LoopConfig) -> AlignConfig:
@@ -30,11 +31,26 @@ def loop_align_config(config: LoopConfig) -> AlignConfig:
 class _Fitted:
     start: LoopStart
     result: AlignResult
-    T: Array
-    evidence: float
+    covariance: Array
 
     def __post_init__(self) -> None:
         freeze(self)
+
+    @property
+    def T(self) -> Array:
+        """The pose found, or the start."""
+        found = self.result.T_target_source
+        return found if found is not None else self.start.T_match_query
+
+    @property
+    def evidence(self) -> float:
+        """The share of the smaller overlap that fits; 0 where there is no pose."""
+        r = self.result
+        return (
+            0.0
+            if r.T_target_source is None
+            else min(r.overlap_source, r.overlap_target) * r.inliers / max(r.matches, 1)
+        )
 
 
 def verify(
@@ -42,7 +58,7 @@ def verify(
     match: int,
     maps: LocalMaps,
     starts: Sequence[LoopStart],
-    prior: tuple[Array, Array],
+    relative: RelativePose,
     *,
     newest: int,
     config: LoopConfig | None = None,
@@ -53,7 +69,8 @@ def verify(
 
     Starts that lie within `same` of another are tried once. Of the poses found the one with the most evidence is kept:
     the share of the smaller overlap that fits. A start that odometry's covariance excludes is not tried, but for one by
-    hand: where its registration led, it would be refused.
+    hand: where its registration led, it would be refused. Local maps reach as far as odometry is surer than
+    `max_smear`, and what it may have bent them is part of the pose's covariance.
 
     Parameters
     ----------
@@ -63,8 +80,8 @@ def verify(
         Prepared with `loop_align_config`.
     starts : sequence of LoopStart
         Guesses, such as a detector's; odometry's own pose is tried first in any case.
-    prior : (T_match_query, covariance)
-        Odometry's (or the graph's) relative pose (4, 4) and its covariance (6, 6), right perturbation.
+    relative : callable
+        Keyframes a < b -> odometry's (or the graph's) ``T_a_b`` and its covariance.
     newest : int
         Last keyframe that there is: local maps reach no further.
     config : LoopConfig, optional
@@ -76,49 +93,81 @@ def verify(
     Raises
     ------
     DataError
-        A covariance that is not positive, or keyframes out of order.
+        Keyframes out of order.
     """
     config = config or LoopConfig()
     if not 0 <= match < query <= newest:
         raise DataError(f"a loop needs an earlier keyframe as match, got query {query}, match {match} of 0 to {newest}")
-    T_odom, covariance_odom = prior
-    settings = maps.config
-    source = maps.around(query, max(0, query - config.before), query)
-    target = maps.around(match, max(0, match - config.before), min(match + config.after, query - 1))
+    prior = relative(match, query)
+    ends = (
+        window_end(query, max(0, query - config.before), relative, config),
+        window_end(match, max(0, match - config.before), relative, config),
+        window_end(match, min(match + config.after, query - 1), relative, config),
+    )
+    source, target = maps.around(query, ends[0], query), maps.around(match, ends[1], ends[2])
+    bent = _bent(query, ends[0], relative) + _bent(match, ends[1], relative)
     fitted = []
-    for start in _distinct((LoopStart(source="odometry", T_match_query=T_odom), *starts), prior, config):
-        result = align(target, source, start=start.T_match_query, config=settings, threads=threads)
-        T = result.T_target_source if result.T_target_source is not None else start.T_match_query
-        fitted.append(_Fitted(start=start, result=result, T=T, evidence=_evidence(result)))
+    for start in _distinct((LoopStart(source="odometry", T_match_query=prior[0]), *starts), prior, config):
+        result = align(target, source, start=start.T_match_query, config=maps.config, threads=threads)
+        fitted.append(_Fitted(start=start, result=result, covariance=_covariance(result, bent, config)))
     best = max(fitted, key=lambda one: one.evidence)
-    covariance = _covariance(best.result, config)
-    evidence = LoopEvidence(
+    evidence = _evidence_of(query, match, best, fitted, prior, score, config)
+    return with_blur(evidence, target, source, config) if best.evidence > 0.0 else evidence
+
+
+def _evidence_of(
+    query: int,
+    match: int,
+    best: _Fitted,
+    fitted: Sequence[_Fitted],
+    prior: tuple[Array, Array],
+    score: float,
+    config: LoopConfig,
+) -> LoopEvidence:
+    result = best.result
+    return LoopEvidence(
         query=query,
         match=match,
         source=best.start.source,
-        status=best.result.status,
+        status=result.status,
         T_match_query=best.T,
-        covariance=covariance,
-        overlap_query=best.result.overlap_source,
-        overlap_match=best.result.overlap_target,
-        inliers=best.result.inliers / max(best.result.matches, 1),
-        residuals=best.result.residuals,
-        blind=_blind(best.result),
-        weakest=_weakest(best.result),
-        T_match_query_odom=T_odom,
-        odom_covariance=covariance_odom,
-        odom_mahalanobis=mahalanobis(T_odom, best.T, covariance_odom + covariance),
+        covariance=best.covariance,
+        overlap_query=result.overlap_source,
+        overlap_match=result.overlap_target,
+        inliers=result.inliers / max(result.matches, 1),
+        residuals=result.residuals,
+        blind=() if result.observability is None else tuple(str(d) for d in result.observability.blind),
+        weakest=0.0 if result.observability is None else float(result.observability.translation[0].information),
+        T_match_query_odom=prior[0],
+        odom_covariance=prior[1],
+        odom_mahalanobis=mahalanobis(prior[0], best.T, prior[1] + best.covariance),
         starts=len(fitted),
         agreeing=sum(near(one.T, best.T, config.same, config.same_deg) for one in fitted if one.evidence > 0.0),
         lead=_lead(best, fitted, prior, config),
         score=score,
     )
-    return with_blur(evidence, target, source, config) if best.evidence > 0.0 else evidence
 
 
-def with_blur(
-    evidence: LoopEvidence, target: PreparedCloud, source: PreparedCloud, config: LoopConfig
-) -> LoopEvidence:
+def window_end(centre: int, end: int, relative: RelativePose, config: LoopConfig) -> int:
+    """Return the last keyframe from one towards another that odometry knows relative to it better than `max_smear`."""
+    at, step = centre, 1 if end > centre else -1
+    while at != end:
+        first, last = sorted((centre, at + step))
+        S = relative(first, last)[1]
+        # The smear of what is seen at the lever's end, an axis.
+        if np.trace(S[3:, 3:]) / 3.0 + _LEVER_M**2 * np.trace(S[:3, :3]) / 3.0 > config.max_smear**2:
+            break
+        at += step
+    return at
+
+
+def _bent(centre: int, end: int, relative: RelativePose) -> Array:
+    """Covariance that a local map's bend gives to a registration by it: that of its middle keyframe."""
+    middle = (centre + end) // 2
+    return relative(middle, centre)[1] if middle < centre else np.zeros((6, 6))
+
+
+def with_blur(evidence: LoopEvidence, target: PreparedCloud, source: PreparedCloud, config: LoopConfig) -> LoopEvidence:
     """Return the evidence with the blur of joining the local maps where odometry has them, and at the pose."""
     edge = 2.0 * config.voxel
     before = joined_blur(target.points, source.points, evidence.T_match_query_odom, edge)
@@ -126,11 +175,9 @@ def with_blur(
     return replace(evidence, blur_before=before, blur_after=after)
 
 
-def _distinct(
-    starts: Sequence[LoopStart], prior: tuple[Array, Array], config: LoopConfig
-) -> list[LoopStart]:
+def _distinct(starts: Sequence[LoopStart], prior: tuple[Array, Array], config: LoopConfig) -> list[LoopStart]:
     kept: list[LoopStart] = []
-    gate = 2.0 * chi_square_quantile(config.gate_probability, 6)  # a guess is off by a cell, and may be pulled in
+    gate = 2.0 * gate_of(config.gate_probability)  # a guess is off by a cell, and may be pulled in
     for start in starts:
         allowed = start.source in ("odometry", "hand") or _outside(start.T_match_query, prior, config) <= gate
         if allowed and not any(near(start.T_match_query, k.T_match_query, config.same, config.same_deg) for k in kept):
@@ -144,32 +191,18 @@ def _outside(T: Array, prior: tuple[Array, Array], config: LoopConfig) -> float:
     return mahalanobis(prior[0], T, prior[1] + np.diag(sigma**2))
 
 
-def _evidence(result: AlignResult) -> float:
-    if result.T_target_source is None:
-        return 0.0
-    return min(result.overlap_source, result.overlap_target) * result.inliers / max(result.matches, 1)
-
-
 def _lead(best: _Fitted, fitted: Sequence[_Fitted], prior: tuple[Array, Array], config: LoopConfig) -> float:
-    gate = chi_square_quantile(config.gate_probability, 6)
+    gate = gate_of(config.gate_probability)
     others = [
         one.evidence
         for one in fitted
         if not near(one.T, best.T, config.same, config.same_deg)
-        and mahalanobis(prior[0], one.T, prior[1] + _covariance(one.result, config)) <= gate
+        and mahalanobis(prior[0], one.T, prior[1] + one.covariance) <= gate
     ]
     rival = max(others, default=0.0)
     return best.evidence / rival if rival > 0.0 else float("inf")
 
 
-def _covariance(result: AlignResult, config: LoopConfig) -> Array:
-    floor = np.diag(np.repeat([np.radians(config.sigma_deg), config.sigma], 3) ** 2)
-    return floor if result.covariance is None else np.asarray(result.covariance + floor)
-
-
-def _blind(result: AlignResult) -> tuple[str, ...]:
-    return () if result.observability is None else tuple(str(d) for d in result.observability.blind)
-
-
-def _weakest(result: AlignResult) -> float:
-    return 0.0 if result.observability is None else float(result.observability.translation[0].information)
+def _covariance(result: AlignResult, bent: Array, config: LoopConfig) -> Array:
+    floor = bent + np.diag(np.repeat([np.radians(config.sigma_deg), config.sigma], 3) ** 2)
+    return np.asarray(floor if result.covariance is None else result.covariance + floor)

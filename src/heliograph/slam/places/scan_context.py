@@ -88,8 +88,10 @@ def _best_shift(images: Array, query: Array) -> tuple[Array, Array]:
     )
     full_a, full_b = np.any(images > 0.0, axis=1).astype(float), np.any(query > 0.0, axis=0).astype(float)
     # A column empty on one side is unlike; one empty on both is left out of the mean: a narrow view has many.
-    union = full_a.sum(axis=1)[:, None] + full_b.sum() - np.fft.irfft(
-        np.fft.rfft(full_a, axis=1) * np.conj(np.fft.rfft(full_b)), n=images.shape[2], axis=1
+    union = (
+        full_a.sum(axis=1)[:, None]
+        + full_b.sum()
+        - np.fft.irfft(np.fft.rfft(full_a, axis=1) * np.conj(np.fft.rfft(full_b)), n=images.shape[2], axis=1)
     )
     likeness = np.clip(products / np.maximum(union, 1.0), 0.0, 1.0)
     shifts = np.argmax(likeness, axis=1)

@@ -1,0 +1,78 @@
+"""From a query to evidence: which keyframes may be looked at, who looks like it, and who registers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from heliograph.arrays import Array, Mask
+from heliograph.config import LoopConfig
+from heliograph.slam.loops.judge import judge
+from heliograph.slam.loops.records import LoopEvidence, LoopStart, RelativePose
+from heliograph.slam.loops.submaps import LocalMaps
+from heliograph.slam.loops.verify import verify
+from heliograph.slam.places import PlaceMatch, body_guess
+
+__all__ = ["verify_places", "within_reach"]
+
+_SIGMAS = 3.0
+
+
+def within_reach(p_odom_query: Array, p_odom: Array, sigma: Array, config: LoopConfig | None = None) -> Mask:
+    """Return which keyframes may show the query's place, as far as odometry knows, (K,).
+
+    Parameters
+    ----------
+    p_odom_query : (3,) float64
+        Position of the query [m].
+    p_odom : (K, 3) float64
+        Positions of the keyframes [m].
+    sigma : (K, 3) float64
+        One-sigmas of the query's position relative to theirs, along odom's axes [m].
+    config : LoopConfig, optional
+    """
+    c = config or LoopConfig()
+    off = np.maximum(np.abs(p_odom - p_odom_query) - _SIGMAS * sigma, 0.0)
+    return np.asarray((np.hypot(off[:, 0], off[:, 1]) <= c.reach) & (off[:, 2] <= c.reach_up))
+
+
+def verify_places(
+    query: int,
+    places: Sequence[PlaceMatch],
+    maps: LocalMaps,
+    relative: RelativePose,
+    *,
+    newest: int,
+    config: LoopConfig | None = None,
+    threads: int = 1,
+) -> tuple[LoopEvidence, ...]:
+    """Verify places in their order until one is not refused by itself; return the evidence of all that were looked at.
+
+    Parameters
+    ----------
+    query : int
+        Keyframe.
+    places : sequence of PlaceMatch
+        A detector's answer.
+    maps : LocalMaps
+    relative : callable
+        Keyframes a < b -> odometry's ``T_a_b`` and its covariance.
+    newest : int
+        Last keyframe that there is.
+    config : LoopConfig, optional
+    threads : int
+    """
+    config = config or LoopConfig()
+    found: list[LoopEvidence] = []
+    T_query = maps.submaps.T_odom_imu(query)
+    for place in places:
+        T = body_guess(place.T_match_query, maps.submaps.T_odom_imu(place.index), T_query)
+        # A turn alone says nothing of the position: odometry's own start has the better one.
+        starts = () if place.yaw_only else (LoopStart(source="place", T_match_query=T),)
+        evidence = verify(query, place.index, maps, starts, relative, newest=newest, config=config,
+                          score=place.score, threads=threads)  # fmt: skip
+        found.append(evidence)
+        if judge(evidence, config).verdict != "rejected":
+            break
+    return tuple(found)
