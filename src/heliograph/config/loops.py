@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from heliograph.config_checks import check_choice, check_range
+from heliograph.errors import ConfigError
 
 __all__ = ["LoopConfig", "PlacesConfig"]
 
@@ -55,6 +56,8 @@ class PlacesConfig:
         check_choice(self, "method", "birds-eye", "scan-context")
         check_range(self, "cell", "layer", "max_range", above=0.0)
         check_range(self, "size", low=16, high=128)
+        if self.size % 8:
+            raise ConfigError(f"size = {self.size} is no multiple of 8, which pictures as bits need")
         check_range(self, "min_layers", "examined", "ring_keys", low=1)
         check_range(self, "rings", "sectors", low=2, high=255)
         check_range(self, "floor", low=0.0)
@@ -68,8 +71,9 @@ class LoopConfig:
     ----------
     before, after : int
         Keyframes before and after one that make its local map; a query has none after it.
-    max_smear : float
-        Local maps reach no further than odometry's one-sigma of what is seen ten metres away stays below this [m].
+    max_smear, fine_smear : float
+        Local maps reach no further than odometry's one-sigma of what is seen ten metres away stays below this [m]; the
+        second bounds those that the pose is taken from, once it is found.
     apart : int
         Keyframes that must lie between a query and a candidate: what is nearer, odometry has matched itself.
     reach, reach_up : float
@@ -116,6 +120,7 @@ class LoopConfig:
     before: int = 9
     after: int = 5
     max_smear: float = 0.15
+    fine_smear: float = 0.06
     apart: int = 30
     reach: float = 12.0
     reach_up: float = 2.0

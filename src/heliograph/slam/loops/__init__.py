@@ -3,6 +3,7 @@
 from heliograph.slam.loops.consistency import cycle_mahalanobis, maximum_clique
 from heliograph.slam.loops.judge import agreements, judge, judge_together
 from heliograph.slam.loops.ledger import Ledger, LedgerEntry
+from heliograph.slam.loops.ledger_file import LOOP_COLUMNS, read_ledger, write_ledger
 from heliograph.slam.loops.records import (
     REASONS,
     LoopDecision,
@@ -16,6 +17,7 @@ from heliograph.slam.loops.submaps import LocalMaps, Submaps, local_map
 from heliograph.slam.loops.verify import loop_align_config, verify
 
 __all__ = [
+    "LOOP_COLUMNS",
     "REASONS",
     "Ledger",
     "LedgerEntry",
@@ -33,7 +35,9 @@ __all__ = [
     "local_map",
     "loop_align_config",
     "maximum_clique",
+    "read_ledger",
     "verify",
     "verify_places",
     "within_reach",
+    "write_ledger",
 ]

@@ -66,10 +66,10 @@ def judge_together(
 ) -> tuple[LoopDecision, ...]:
     """Decide anew about loops that are held or accepted, by the largest set that agrees pair by pair.
 
-    A held loop is accepted when it belongs to that set, the set is large enough, no set without it is nearly as large,
-    and enough of it are of the loop's own sequence: other queries close by on the way, which must cover more way where
-    odometry knows less. Ambiguous loops count for nobody, and follow the others. An accepted loop that most of the set
-    contradicts is revoked.
+    A held loop is accepted when it belongs to that set, the set is large enough, it leads the largest set of the other
+    loops by as many as a set must have at all, and enough of it are of the loop's own sequence: other queries close by
+    on the way, which must cover more way where odometry knows less. Ambiguous loops count for nobody, and follow the
+    others. An accepted loop that most of such a set contradicts is revoked.
 
     Parameters
     ----------
@@ -94,10 +94,11 @@ def judge_together(
     for k, (loop, decision) in enumerate(zip(loops, decisions, strict=True)):
         with_it = [m for m in members if m != k and agree[k, m]]
         fits = k in clique or len(with_it) == len(members)
-        if decision.verdict == "accepted" and not fits and 2 * len(with_it) < len(members):
+        contradicted = not fits and 2 * len(with_it) < len(members) >= rival + c.min_clique
+        if decision.verdict == "accepted" and decision.reason != "by-hand" and contradicted:
             numbers = {"agree": len(with_it), "loops": len(members)}
             out[k] = LoopDecision(verdict="revoked", reason="inconsistent", numbers=numbers)
-        elif decision.verdict == "held" and decision.reason != "by-hand":
+        elif decision.verdict == "held":
             out[k] = _held(loop, [loops[m] for m in with_it], fits, len(members), rival, decision, relative, c)
     return tuple(out)
 
@@ -113,13 +114,13 @@ def _held(
     c: LoopConfig,
 ) -> LoopDecision:
     if not fits:
-        numbers = {"agree": len(supporters), "loops": size}
-        return LoopDecision(verdict="held", reason="inconsistent", numbers=numbers)
-    if size < c.min_lead * rival:
-        return LoopDecision(verdict="held", reason="ambiguous", numbers={"loops": size, "others": rival})
+        against = {"agree": len(supporters), "loops": size}
+        return LoopDecision(verdict="held", reason="inconsistent", numbers=against)
+    if size < rival + c.min_clique:
+        return LoopDecision(verdict="held", reason="rivals", numbers={"loops": size, "others": rival})
     queries, span = _sequence(loop, supporters, relative, c.window)
     needed = c.min_span * math.sqrt(max(float(np.linalg.eigvalsh(loop.odom_covariance[3:, 3:])[-1]), 0.0))
-    numbers = {"clique": size, "sequence": queries, "span_m": span, "needed_span_m": needed}
+    numbers: dict[str, float] = {"clique": size, "sequence": queries, "span_m": span, "needed_span_m": needed}
     if queries < c.min_sequence or span < needed:
         reason = "ambiguous" if decision.reason == "ambiguous" else "alone"
         return LoopDecision(verdict="held", reason=reason, numbers=numbers)

@@ -28,6 +28,7 @@ REASONS: Mapping[str, str] = {
     "blind": "the match leaves directions unseen",
     "blur": "the map is less sharp with it than without",
     "ambiguous": "another pose that odometry allows fits nearly as well",
+    "rivals": "another set of loops, which contradicts its own, is nearly as large",
     "alone": "too few loops of the same sequence agree with it yet",
     "inconsistent": "a larger set of loops contradicts it",
     "solve": "the graph's solution contradicts it",
@@ -91,8 +92,8 @@ class LoopEvidence:
     lead : float
         Evidence over that of the best other pose that odometry allows; infinite where there is none.
     blur_before, blur_after : float
-        Growth of the entropy by joining the local maps where odometry has them, and at the pose [nat]: 0 where walls fall
-        onto walls; NaN where nothing falls together.
+        Growth of the entropy by joining the local maps where odometry has them, and at the pose [nat]: 0 where
+        walls fall onto walls; NaN where nothing falls together.
     score : float
         Likeness by the detector; NaN where none proposed it.
     """

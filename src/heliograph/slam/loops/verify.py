@@ -10,7 +10,6 @@ import numpy as np
 from heliograph.arrays import Array, freeze
 from heliograph.config import AlignConfig, LoopConfig
 from heliograph.errors import DataError
-from heliograph.lie import se3
 from heliograph.registration import AlignResult, PreparedCloud, align
 from heliograph.slam.loops.records import LoopEvidence, LoopStart, RelativePose
 from heliograph.slam.loops.sharpness import joined_blur
@@ -20,6 +19,7 @@ from heliograph.slam.loops.tangent import gate_of, mahalanobis, near
 __all__ = ["loop_align_config", "verify", "window_end"]
 
 _LEVER_M = 10.0  # distance at which a local map's turn is counted as smear
+_MIN_REACH = 2  # keyframes that a local map reaches on either side whatever their smear
 
 
 def loop_align_config(config: LoopConfig) -> AlignConfig:
@@ -99,20 +99,61 @@ def verify(
     if not 0 <= match < query <= newest:
         raise DataError(f"a loop needs an earlier keyframe as match, got query {query}, match {match} of 0 to {newest}")
     prior = relative(match, query)
-    ends = (
-        window_end(query, max(0, query - config.before), relative, config),
-        window_end(match, max(0, match - config.before), relative, config),
-        window_end(match, min(match + config.after, query - 1), relative, config),
-    )
-    source, target = maps.around(query, ends[0], query), maps.around(match, ends[1], ends[2])
-    bent = _bent(query, ends[0], relative) + _bent(match, ends[1], relative)
+    wide = _pair(query, match, maps, relative, config, config.max_smear)
     fitted = []
     for start in _distinct((LoopStart(source="odometry", T_match_query=prior[0]), *starts), prior, config):
-        result = align(target, source, start=start.T_match_query, config=maps.config, threads=threads)
-        fitted.append(_Fitted(start=start, result=result, covariance=_covariance(result, bent, config)))
+        result = align(wide.target, wide.source, start=start.T_match_query, config=maps.config, threads=threads)
+        fitted.append(_Fitted(start=start, result=result, covariance=_covariance(result, wide.bent, config)))
     best = max(fitted, key=lambda one: one.evidence)
     evidence = _evidence_of(query, match, best, fitted, prior, score, config)
-    return with_blur(evidence, target, source, config) if best.evidence > 0.0 else evidence
+    if best.evidence == 0.0:
+        return evidence
+    fine = _pair(query, match, maps, relative, config, config.fine_smear)
+    if fine.ends != wide.ends:
+        evidence = _refined(evidence, fine, config, maps.config, threads)
+    return with_blur(evidence, wide.target, wide.source, config)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Pair:
+    """Local maps of match and query, the keyframes that they reach to, and the covariance that their bend gives."""
+
+    target: PreparedCloud
+    source: PreparedCloud
+    ends: tuple[int, int, int]
+    bent: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def _pair(query: int, match: int, maps: LocalMaps, relative: RelativePose, config: LoopConfig, smear: float) -> _Pair:
+    begin = window_end(query, max(0, query - config.before), relative, smear)
+    first = window_end(match, max(0, match - config.before), relative, smear)
+    last = window_end(match, min(match + config.after, query - 1), relative, smear)
+    return _Pair(
+        target=maps.around(match, first, last),
+        source=maps.around(query, begin, query),
+        ends=(begin, first, last),
+        bent=_bent(query, begin, relative) + _bent(match, first, relative),
+    )
+
+
+def _refined(
+    evidence: LoopEvidence, fine: _Pair, config: LoopConfig, settings: AlignConfig, threads: int
+) -> LoopEvidence:
+    """Return the evidence with the pose of smaller local maps, which odometry bends less, where they see enough."""
+    T = evidence.T_match_query
+    result = align(fine.target, fine.source, start=T, config=settings, threads=threads)
+    if result.status != "converged" or result.T_target_source is None:
+        return evidence
+    covariance = _covariance(result, fine.bent, config)
+    if mahalanobis(T, result.T_target_source, evidence.covariance + covariance) > gate_of(config.gate_probability):
+        return evidence
+    odom = evidence.T_match_query_odom, result.T_target_source, evidence.odom_covariance + covariance
+    return replace(
+        evidence, T_match_query=result.T_target_source, covariance=covariance, odom_mahalanobis=mahalanobis(*odom)
+    )
 
 
 def _evidence_of(
@@ -148,14 +189,20 @@ def _evidence_of(
     )
 
 
-def window_end(centre: int, end: int, relative: RelativePose, config: LoopConfig) -> int:
-    """Return the last keyframe from one towards another that odometry knows relative to it better than `max_smear`."""
+def window_end(centre: int, end: int, relative: RelativePose, smear: float) -> int:
+    """Return the last keyframe from one towards another that odometry knows better than a smear [m], relative to it.
+
+    The next ones belong to it in any case: a single scan of few beams is not enough.
+    """
     at, step = centre, 1 if end > centre else -1
     while at != end:
+        if abs(at - centre) < _MIN_REACH:
+            at += step
+            continue
         first, last = sorted((centre, at + step))
         S = relative(first, last)[1]
         # The smear of what is seen at the lever's end, an axis.
-        if np.trace(S[3:, 3:]) / 3.0 + _LEVER_M**2 * np.trace(S[:3, :3]) / 3.0 > config.max_smear**2:
+        if np.trace(S[3:, 3:]) / 3.0 + _LEVER_M**2 * np.trace(S[:3, :3]) / 3.0 > smear**2:
             break
         at += step
     return at
