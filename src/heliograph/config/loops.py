@@ -137,7 +137,7 @@ class LoopConfig:
     max_residual: float = 0.6
     min_lead: float = 1.15
     max_blind: int = 0
-    max_blur: float = 0.1
+    max_blur: float = 0.25
     window: float = 20.0
     min_sequence: int = 2
     min_span: float = 2.0

@@ -142,14 +142,17 @@ def _pair(query: int, match: int, maps: LocalMaps, relative: RelativePose, confi
 def _refined(
     evidence: LoopEvidence, fine: _Pair, config: LoopConfig, settings: AlignConfig, threads: int
 ) -> LoopEvidence:
-    """Return the evidence with the pose of smaller local maps, which odometry bends less, where they see enough."""
+    """Return the evidence with the pose of smaller local maps, which odometry bends less, where they see enough.
+
+    Where they see another pose the match is ambiguous.
+    """
     T = evidence.T_match_query
     result = align(fine.target, fine.source, start=T, config=settings, threads=threads)
     if result.status != "converged" or result.T_target_source is None:
         return evidence
     covariance = _covariance(result, fine.bent, config)
-    if mahalanobis(T, result.T_target_source, evidence.covariance + covariance) > gate_of(config.gate_probability):
-        return evidence
+    if not near(T, result.T_target_source, config.same, config.same_deg):
+        return replace(evidence, lead=1.0)
     odom = evidence.T_match_query_odom, result.T_target_source, evidence.odom_covariance + covariance
     return replace(
         evidence, T_match_query=result.T_target_source, covariance=covariance, odom_mahalanobis=mahalanobis(*odom)
