@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +65,7 @@ class DriftingOdometry:
         sigma = np.repeat([np.radians(step_deg), step], 3)
         truth = keyframes.T_world_imu
         T = [truth[0]]
-        for before, after in zip(truth[:-1], truth[1:], strict=True):
+        for before, after in pairwise(truth):
             T.append(T[-1] @ se3.inverse(before) @ after @ se3.exp(sigma * rng.standard_normal(6)))
         self.T = np.array(T)
         self._step = np.diag(sigma**2)
@@ -151,7 +152,7 @@ def _along(corners: Sequence[tuple[float, float, float]], spacing: float = 1.0) 
     """Return positions and headings (K, 4) along straight legs; upright legs keep the heading."""
     rows: list[tuple[float, ...]] = []
     heading = 0.0
-    for a, b in zip(np.array(corners[:-1]), np.array(corners[1:]), strict=True):
+    for a, b in pairwise(np.array(corners)):
         way = b - a
         heading = float(np.arctan2(way[1], way[0])) if np.hypot(way[0], way[1]) > 0.1 else heading
         count = max(1, round(float(np.linalg.norm(way)) / spacing))
@@ -180,7 +181,7 @@ def _storey(z: float) -> Iterator[Primitive]:
 
 
 def building(seed: int) -> KeyframeSet:
-    """Two identical storeys of three identical corridors: up one, down the other, and back against the first way."""
+    """Walk two identical storeys of three identical corridors, and then the lower one again, both ways."""
     rng = np.random.default_rng([1, seed])
     a, b, c = (k * _BETWEEN for k in range(3))
     low, high, left, right = 1.2, 1.2 + _STOREY, -1.2, _LENGTH + 1.2
@@ -193,16 +194,18 @@ def building(seed: int) -> KeyframeSet:
 
 
 def warehouse_laps(seed: int) -> KeyframeSet:
-    """Two laps of the warehouse with 16 beams, the second 0.5 m beside the first."""
+    """Walk two laps of the warehouse with 16 beams, the second 0.5 m beside the first."""
     rng = np.random.default_rng([2, seed])
     place = PLACES["warehouse"](rng)
     lap = place.course.sample(1.0)[0]
-    beside = lap + 0.5 * np.column_stack([-np.sin(lap[:, 3]), np.cos(lap[:, 3]), np.zeros(len(lap)), np.zeros(len(lap))])
+    beside = lap + 0.5 * np.column_stack(
+        [-np.sin(lap[:, 3]), np.cos(lap[:, 3]), np.zeros(len(lap)), np.zeros(len(lap))]
+    )
     return _walk("warehouse", place.world, np.vstack([lap, beside]), LidarModel(beams=16, columns=512), rng)
 
 
 def street_and_back(seed: int) -> KeyframeSet:
-    """A street of 120 m, back against the first way, 3 m beside it."""
+    """Walk a street of 120 m, and back against the first way, 3 m beside it."""
     rng = np.random.default_rng([3, seed])
     place = PLACES["street"](rng)
     out = place.course.sample(1.0)[0]
@@ -212,7 +215,7 @@ def street_and_back(seed: int) -> KeyframeSet:
 
 
 def facade(seed: int) -> KeyframeSet:
-    """A narrow view of a long front with a pillar every 4 m, along it and never back: there is no loop."""
+    """Walk along a front with a pillar every 4 m, seen by a narrow view, and never back: there is no loop."""
     rng = np.random.default_rng([4, seed])
     parts = [rectangle((60.0, 0.0, 0.0), (200.0, 60.0), np.eye(3)), box((60.0, 8.2, 4.0), (160.0, 0.4, 8.0))]
     parts += [box((x, 7.7, 3.0), (0.8, 0.8, 6.0)) for x in np.arange(-18.0, 140.0, 4.0)]

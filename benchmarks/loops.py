@@ -45,9 +45,7 @@ class _Account:
     descriptor_bytes: int = 0
 
 
-def run_session(
-    odometry: DriftingOdometry, loops: LoopConfig, places: PlacesConfig
-) -> tuple[Ledger, _Account]:
+def run_session(odometry: DriftingOdometry, loops: LoopConfig, places: PlacesConfig) -> tuple[Ledger, _Account]:
     """Close the loops of one set as a run would, keyframe by keyframe."""
     account, ledger, detector = _Account(), Ledger(loops), make_detector(places)
     maps = LocalMaps(odometry, loop_align_config(loops))
@@ -144,7 +142,7 @@ def measure_loops(
     drifts: Sequence[tuple[float, float]] = DRIFTS,
     loops: LoopConfig | None = None,
     places: PlacesConfig | None = None,
-    report: Callable[[dict[str, Any]], None] = lambda row: None,
+    report: Callable[[dict[str, Any]], object] = str,
 ) -> list[dict[str, Any]]:
     """Measure the real sets below ``data`` (those that are there) and simulated worlds, each with every drift and seed.
 
@@ -170,7 +168,18 @@ def measure_loops(
 
 def loops_section(rows: Sequence[dict[str, Any]], table: Callable[[list[str], list[list[str]]], str]) -> str:
     """Return the section of BENCHMARKS.md."""
-    head = ["set", "walk a keyframe", "runs", "to find", "recall", "false", "top 5", "median error", "p90", "ms a query"]
+    head = [
+        "set",
+        "walk a keyframe",
+        "runs",
+        "to find",
+        "recall",
+        "false",
+        "top 5",
+        "median error",
+        "p90",
+        "ms a query",
+    ]
     body = []
     for name, step in dict.fromkeys((r["set"], r["step_m"]) for r in rows):
         some = [r for r in rows if (r["set"], r["step_m"]) == (name, step)]
