@@ -21,6 +21,7 @@ from heliograph.slam.loops import (
     LoopEvidence,
     local_map,
     loop_align_config,
+    rank_places,
     verify_places,
     within_reach,
 )
@@ -76,7 +77,8 @@ def _close(
     allowed = within_reach(odometry.T[k, :3, 3], odometry.T[:k, :3, 3], odometry.sigma_world(k), loops)
     allowed[max(0, k - loops.apart) :] = False
     watch = _Watch(account.seconds)
-    places = detector.query(points, allowed=allowed, top=loops.candidates)
+    found = detector.query(points, allowed=allowed, top=loops.placed)
+    places = rank_places(k, found, odometry, odometry.relative, loops)
     watch.lap("query")
     evidence = verify_places(k, places, maps, odometry.relative, newest=k, config=loops)
     watch.lap("verify")

@@ -79,8 +79,9 @@ class LoopConfig:
     reach, reach_up : float
         Distance between a query and a candidate, level and in height, beyond three sigmas of odometry's, at which they
         may still see the same [m].
-    candidates : int
-        Places asked for a query.
+    placed, candidates : int
+        Places asked of the detector for a query, and those of them, the ones first that odometry's covariance allows,
+        that are verified until one is not refused.
     voxel, levels : float, int
         Finest cubes of the registration [m], and number of levels.
     gate_probability : float
@@ -124,6 +125,7 @@ class LoopConfig:
     apart: int = 30
     reach: float = 12.0
     reach_up: float = 2.0
+    placed: int = 20
     candidates: int = 5
     voxel: float = 0.25
     levels: int = 4
@@ -147,7 +149,7 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         check_range(self, "before", "after", "max_blind", "min_sequence", low=0)
-        check_range(self, "apart", "candidates", "compared", "min_clique", low=1)
+        check_range(self, "apart", "placed", "candidates", "compared", "min_clique", low=1)
         check_range(self, "levels", low=1, high=8)
         check_range(
             self,

@@ -13,6 +13,7 @@ from heliograph.slam.loops import (
     judge,
     local_map,
     loop_align_config,
+    rank_places,
     verify,
     verify_places,
     within_reach,
@@ -181,3 +182,17 @@ def test_search_stops_at_the_first_place_that_is_not_refused(rng):
     found = verify_places(15, [place(3, 3), place(2, 2, True)], maps_of(walk), walk.relative, newest=15, config=strict)
     assert [e.match for e in found] == [3, 2]
     assert [e.score for e in found] == [0.5, 0.5]
+
+
+def test_places_that_odometry_allows_come_first_and_keep_their_order(rng):
+    walk = Walk(rng, sigma=0.02)
+
+    def place(index, score, T_match_query, yaw_only=False):
+        T = level_pose(walk.T[index]) @ T_match_query @ se3.inverse(level_pose(walk.T[15]))
+        return PlaceMatch(index=index, score=score, T_match_query=T, yaw_only=yaw_only)
+
+    twin = place(4, 0.9, walk.truth(4, 15) @ se3.exp([0, 0, 0, 8.0, 0, 0]))
+    right = [place(3, 0.8, walk.truth(3, 15)), place(2, 0.7, walk.truth(2, 15)), place(5, 0.6, np.eye(4), True)]
+    assert [p.index for p in rank_places(15, [twin, *right], walk, walk.relative, CONFIG)] == [3, 2, 5, 4]
+    few = LoopConfig(before=2, after=2, candidates=2)
+    assert [p.index for p in rank_places(15, [twin, *right], walk, walk.relative, few)] == [3, 2]

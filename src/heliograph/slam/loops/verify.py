@@ -16,7 +16,7 @@ from heliograph.slam.loops.sharpness import joined_blur
 from heliograph.slam.loops.submaps import LocalMaps
 from heliograph.slam.loops.tangent import gate_of, mahalanobis, near
 
-__all__ = ["loop_align_config", "verify", "window_end"]
+__all__ = ["guess_distance", "loop_align_config", "verify", "window_end"]
 
 _LEVER_M = 10.0  # distance at which a local map's turn is counted as smear
 _MIN_REACH = 2  # keyframes that a local map reaches on either side whatever their smear
@@ -227,16 +227,16 @@ def with_blur(evidence: LoopEvidence, target: PreparedCloud, source: PreparedClo
 
 def _distinct(starts: Sequence[LoopStart], prior: tuple[Array, Array], config: LoopConfig) -> list[LoopStart]:
     kept: list[LoopStart] = []
-    gate = 2.0 * gate_of(config.gate_probability)  # a guess is off by a cell, and may be pulled in
+    gate = 2.0 * gate_of(config.gate_probability)  # registration may pull it in
     for start in starts:
-        allowed = start.source in ("odometry", "hand") or _outside(start.T_match_query, prior, config) <= gate
+        allowed = start.source in ("odometry", "hand") or guess_distance(start.T_match_query, prior, config) <= gate
         if allowed and not any(near(start.T_match_query, k.T_match_query, config.same, config.same_deg) for k in kept):
             kept.append(start)
     return kept
 
 
-def _outside(T: Array, prior: tuple[Array, Array], config: LoopConfig) -> float:
-    """Squared distance from odometry's pose of a guess that is good to a few edges of the finest cubes."""
+def guess_distance(T: Array, prior: tuple[Array, Array], config: LoopConfig) -> float:
+    """Return the squared distance from odometry's pose of a guess that is good to a few edges of the finest cubes."""
     sigma = np.concatenate([np.full(3, np.radians(config.same_deg)), np.full(3, 2.0 * config.voxel)])
     return mahalanobis(prior[0], T, prior[1] + np.diag(sigma**2))
 
