@@ -33,12 +33,12 @@ class Chain:
         return se3.inverse(self.T[a]) @ self.T[b], S + 1e-12 * np.eye(6)
 
 
-def loop(query, match, T_true, *, noise=None, off=None, odom=None, **changes):
+def loop(query, match, T_true, *, noise=None, sigma=SIGMA_LOOP, off=None, **changes):
     """Return good evidence for a loop, with changes; ``off`` moves the query in the world, as an alias would."""
     T = se3.inverse(T_true[match]) @ (np.eye(4) if off is None else off) @ T_true[query]
-    T = T if noise is None else T @ se3.exp(SIGMA_LOOP * noise.normal(size=6))
+    T = T if noise is None else T @ se3.exp(sigma * noise.normal(size=6))
     fields = {
-        "source": "place", "status": "converged", "covariance": np.diag(SIGMA_LOOP**2), "overlap_query": 0.7,
+        "source": "place", "status": "converged", "covariance": np.diag(sigma**2), "overlap_query": 0.7,
         "overlap_match": 0.6, "inliers": 0.97, "blind": (), "weakest": 1e4, "T_match_query_odom": T,
         "odom_covariance": 0.01 * np.eye(6), "odom_mahalanobis": 4.0, "starts": 2, "agreeing": 2,
         "lead": float("inf"), "blur_before": 0.8, "blur_after": 0.05, "score": 0.6,

@@ -60,6 +60,17 @@ def test_cycle_is_chi_square_for_right_loops(qb, mb):
     assert np.mean(np.array(values) > 16.81) < 0.035
 
 
+def test_turn_of_a_loop_counts_at_the_lever_of_the_other(rng):
+    """Loops known well in place and badly in turn, queries 12 m apart: most of the error comes by the lever."""
+    chain, sigma = Chain(60, rng, sigma=0.0, turns=True), np.repeat([0.02, 0.01], 3)
+    values = []
+    for seed in range(300):
+        noise = np.random.default_rng(seed)
+        a, b = (loop(q, m, chain.T_true, noise=noise, sigma=sigma) for q, m in ((50, 3), (38, 15)))
+        values.append(float(cycle_mahalanobis(a, [b], chain)[0]))
+    assert 5.3 < np.mean(values) < 6.7
+
+
 def test_loop_to_another_place_does_not_close(rng):
     chain = Chain(60, rng)
     a, wrong = loop(50, 3, chain.T_true), loop(55, 7, chain.T_true, off=se3.exp([0, 0, 0, 3.0, 0, 0]))

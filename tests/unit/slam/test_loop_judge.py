@@ -182,3 +182,18 @@ def test_missing_file_is_one_line(tmp_path):
 def test_config_of_the_ledger_rules(chain):
     config = LoopConfig(min_sequence=0, min_clique=1, min_span=0.0)
     assert len(ledger_of(chain, [loop(50, 3, chain.T_true)], config).accepted()) == 1
+
+
+def test_ledger_compares_a_new_loop_with_the_latest_only(chain):
+    config, asked = LoopConfig(compared=4), []
+
+    def relative(a, b):
+        asked.append((a, b))
+        return chain(a, b)
+
+    ledger = Ledger(config)
+    for q in range(50, 70):
+        asked.clear()
+        ledger.add(loop(q, q - 47, chain.T_true), relative)
+    assert len(ledger.accepted()) == 20
+    assert {b for _, b in asked if b >= 50} <= {66, 67, 68, 69}
