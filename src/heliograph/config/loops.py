@@ -123,8 +123,8 @@ class LoopConfig:
     max_smear: float = 0.15
     fine_smear: float = 0.06
     apart: int = 30
-    reach: float = 12.0
-    reach_up: float = 2.0
+    reach: float = 8.0
+    reach_up: float = 1.5
     placed: int = 20
     candidates: int = 5
     voxel: float = 0.25

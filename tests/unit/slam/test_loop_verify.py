@@ -192,7 +192,8 @@ def test_places_that_odometry_allows_come_first_and_keep_their_order(rng):
         return PlaceMatch(index=index, score=score, T_match_query=T, yaw_only=yaw_only)
 
     twin = place(4, 0.9, walk.truth(4, 15) @ se3.exp([0, 0, 0, 8.0, 0, 0]))
+    far = place(9, 0.85, walk.truth(9, 15) @ se3.exp([0, 0, 0, 8.0, 0, 0]))
     right = [place(3, 0.8, walk.truth(3, 15)), place(2, 0.7, walk.truth(2, 15)), place(5, 0.6, np.eye(4), True)]
-    assert [p.index for p in rank_places(15, [twin, *right], walk, walk.relative, CONFIG)] == [3, 2, 5, 4]
+    assert [p.index for p in rank_places(15, [far, twin, *right], walk, walk.relative, CONFIG)] == [3, 2, 5, 4, 9]
     few = LoopConfig(before=2, after=2, candidates=2)
     assert [p.index for p in rank_places(15, [twin, *right], walk, walk.relative, few)] == [3, 2]

@@ -47,6 +47,8 @@ def rank_places(
 ) -> tuple[PlaceMatch, ...]:
     """Return the best places, those first whose guess odometry allows; a twin of the place is not among those.
 
+    The others follow by their distance as odometry has it: where the detector is wrong, the nearest is the best bet.
+
     Parameters
     ----------
     query : int
@@ -62,11 +64,13 @@ def rank_places(
     c = config or LoopConfig()
     gate, T_query = gate_of(c.gate_probability), submaps.T_odom_imu(query)
 
-    def excluded(place: PlaceMatch) -> bool:
+    def order(place: PlaceMatch) -> tuple[bool, float]:
+        prior = relative(place.index, query)
         T = body_guess(place.T_match_query, submaps.T_odom_imu(place.index), T_query)
-        return not place.yaw_only and guess_distance(T, relative(place.index, query), c) > gate
+        excluded = not place.yaw_only and guess_distance(T, prior, c) > gate
+        return excluded, float(np.linalg.norm(prior[0][:3, 3])) if excluded else 0.0
 
-    return tuple(sorted(places, key=excluded)[: c.candidates])
+    return tuple(sorted(places, key=order)[: c.candidates])
 
 
 def verify_places(
