@@ -86,6 +86,11 @@ class LoopConfig:
         Finest cubes of the registration [m], and number of levels.
     gate_probability : float
         A pose that odometry calls less likely than one less this is refused.
+    max_shift, max_shift_up : float
+        How far a loop may move its query from where odometry has it, level and in height [m]: buildings repeat by
+        corridors and storeys, and within half of that nothing but odometry tells twins apart.
+    max_doubt, max_doubt_up : float
+        Odometry's largest one-sigma of the query, level and in height, with which it can tell them [m].
     sigma, sigma_deg : float
         One-sigma that a registration of local maps is credited with at best, an axis [m], [deg]: neighbouring points
         share errors that its own covariance does not know of.
@@ -130,6 +135,10 @@ class LoopConfig:
     voxel: float = 0.25
     levels: int = 4
     gate_probability: float = 0.999
+    max_shift: float = 5.0
+    max_shift_up: float = 1.5
+    max_doubt: float = 2.0
+    max_doubt_up: float = 0.75
     sigma: float = 0.05
     sigma_deg: float = 0.5
     same: float = 0.4
@@ -167,5 +176,6 @@ class LoopConfig:
         )
         check_range(self, "min_overlap", "min_inliers", low=0.0, high=1.0)
         check_range(self, "gate_probability", "consistency_probability", above=0.0, below=1.0)
+        check_range(self, "max_shift", "max_shift_up", "max_doubt", "max_doubt_up", above=0.0)
         check_range(self, "min_lead", low=1.0)
         check_range(self, "max_blur", "min_span", low=0.0)

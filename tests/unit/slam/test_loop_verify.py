@@ -92,6 +92,15 @@ def test_right_place_is_registered_and_only_waits_for_company(rng):
     assert (judge(evidence, CONFIG).verdict, judge(evidence, CONFIG).reason) == ("held", "alone")
 
 
+def test_shift_and_doubt_are_told_level_and_in_height(rng):
+    """The body is tilted: height is along gravity, not along its z axis."""
+    walk = Walk(rng, drift=se3.exp([0.0, 0.0, 0.0, 0.3, 0.0, 0.2]), sigma=0.1)
+    evidence = verify(15, 3, maps_of(walk), (), walk.relative, newest=15, config=CONFIG)
+    assert abs(evidence.shift_level - 0.3) < 0.03
+    assert abs(evidence.shift_up - 0.2) < 0.03
+    np.testing.assert_allclose([evidence.doubt_level, evidence.doubt_up], 0.1 * np.sqrt(12), rtol=1e-6)
+
+
 def test_guess_of_a_detector_reaches_what_odometry_cannot(rng):
     walk = Walk(rng, drift=se3.exp([0.0, 0.0, 2.5, 6.0, -3.0, 0.0]), sigma=3.0)
     guess = LoopStart(source="place", T_match_query=walk.truth(3, 15) @ se3.exp([0, 0, 0.1, 0.2, 0.3, 0.0]))

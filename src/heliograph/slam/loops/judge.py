@@ -32,6 +32,12 @@ def judge(evidence: LoopEvidence, config: LoopConfig | None = None) -> LoopDecis
     if not e.odom_mahalanobis <= gate:
         off = {"chi2": e.odom_mahalanobis, "allowed": gate, "distance_m": e.disagreement}
         return LoopDecision(verdict="rejected", reason="odometry", numbers=off)
+    limits = (e.shift_level / c.max_shift, e.shift_up / c.max_shift_up,
+              e.doubt_level / c.max_doubt, e.doubt_up / c.max_doubt_up)  # fmt: skip
+    if max(limits) > 1.0:
+        numbers = {"shift_m": e.shift_level, "shift_up_m": e.shift_up, "doubt_m": e.doubt_level,
+                   "doubt_up_m": e.doubt_up}  # fmt: skip
+        return LoopDecision(verdict="rejected", reason="twin", numbers=numbers)
     if e.overlap < c.min_overlap:
         numbers = {"query": e.overlap_query, "match": e.overlap_match, "needed": c.min_overlap}
         return LoopDecision(verdict="rejected", reason="overlap", numbers=numbers)

@@ -22,7 +22,7 @@ __all__ = ["LOOP_COLUMNS", "read_ledger", "write_ledger"]
 
 _RESIDUALS = tuple(ResidualDistribution.__slots__)
 _FLOATS = ("score", "overlap_query", "overlap_match", "inliers", "weakest", "odom_mahalanobis", "lead",
-           "blur_before", "blur_after")  # fmt: skip
+           "shift_level", "shift_up", "doubt_level", "doubt_up", "blur_before", "blur_after")  # fmt: skip
 _COUNTS = ("query", "match", "starts", "agreeing")
 _POSES = ("T_match_query", "T_match_query_odom")
 _COVARIANCES = ("covariance", "odom_covariance")

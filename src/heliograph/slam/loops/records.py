@@ -23,6 +23,7 @@ REASONS: Mapping[str, str] = {
     "by-hand": "added by hand",
     "no-pose": "registration found no pose",
     "odometry": "odometry's covariance excludes the pose",
+    "twin": "odometry knows the way too badly to tell the place from one a storey or a corridor away",
     "overlap": "too little of the local maps overlaps",
     "fit": "what overlaps does not fit",
     "blind": "the match leaves directions unseen",
@@ -87,6 +88,10 @@ class LoopEvidence:
         Covariance of that.
     odom_mahalanobis : float
         Squared distance of the two in both covariances: chi-square with six degrees of freedom if they agree.
+    shift_level, shift_up : float
+        How far the pose moves the query from where odometry has it, level and in height [m].
+    doubt_level, doubt_up : float
+        Odometry's one-sigma of the query there, along the worst level axis and in height [m].
     starts, agreeing : int
         Registrations made, and those that ended at this pose.
     lead : float
@@ -116,6 +121,10 @@ class LoopEvidence:
     starts: int
     agreeing: int
     lead: float
+    shift_level: float = 0.0
+    shift_up: float = 0.0
+    doubt_level: float = 0.0
+    doubt_up: float = 0.0
     blur_before: float = float("nan")
     blur_after: float = float("nan")
     score: float = float("nan")

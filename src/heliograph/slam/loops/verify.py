@@ -111,6 +111,7 @@ def verify(
     fine = _pair(query, match, maps, relative, config, config.fine_smear)
     if fine.ends != wide.ends:
         evidence = _refined(evidence, fine, config, maps.config, threads)
+    evidence = _with_shift(evidence, maps.submaps.T_odom_imu(query), maps.submaps.T_odom_imu(match))
     return with_blur(evidence, wide.target, wide.source, config)
 
 
@@ -215,6 +216,22 @@ def _bent(centre: int, end: int, relative: RelativePose) -> Array:
     """Covariance that a local map's bend gives to a registration by it: that of its middle keyframe."""
     middle = (centre + end) // 2
     return relative(middle, centre)[1] if middle < centre else np.zeros((6, 6))
+
+
+def _with_shift(evidence: LoopEvidence, T_odom_query: Array, T_odom_match: Array) -> LoopEvidence:
+    """Return the evidence with the query's shift and odometry's doubt about it, level and in height."""
+    shift = evidence.T_match_query[:3, 3] - evidence.T_match_query_odom[:3, 3]
+    x, y, z = T_odom_match[:3, :3] @ shift
+    R = T_odom_query[:3, :3]
+    S = R @ evidence.odom_covariance[3:, 3:] @ R.T
+    level = float(np.linalg.eigvalsh(S[:2, :2])[-1])
+    return replace(
+        evidence,
+        shift_level=float(np.hypot(x, y)),
+        shift_up=float(abs(z)),
+        doubt_level=float(np.sqrt(max(level, 0.0))),
+        doubt_up=float(np.sqrt(max(S[2, 2], 0.0))),
+    )
 
 
 def with_blur(evidence: LoopEvidence, target: PreparedCloud, source: PreparedCloud, config: LoopConfig) -> LoopEvidence:
