@@ -20,6 +20,7 @@ from benchmarks import (
     kd_tree,
     kitti,
     lio,
+    loops,
     registration,
     speed,
     start,
@@ -31,9 +32,9 @@ _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
 _GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale")
 _CLOUDS = ("registration", "blind", "kd-tree")
-_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "lio", "calibrate", *_CLOUDS)
+_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "lio", "calibrate", *_CLOUDS, "loops")
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio")
-_RUNS = {"imu": 20, "lio": 5, "speed": 5, "start": 3, "graph": 7, "graph-scale": 1, "graph-incremental": 5}
+_RUNS = {"imu": 20, "lio": 5, "speed": 5, "start": 3, "graph": 7, "graph-scale": 1, "graph-incremental": 5, "loops": 3}
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
 
@@ -97,7 +98,7 @@ def _graphs(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
 
 
 def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
-    """Run the benchmarks of registration, degeneracy and the k-d tree."""
+    """Run the benchmarks of registration, degeneracy, the k-d tree and loops."""
     rival, work = arguments.rival_bin / "python", arguments.work / "clouds"
     if "registration" in wanted:
 
@@ -113,6 +114,9 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         _write("blind", [*blind.alarms(), *blind.remapping(), *blind.update_cost()])
     if "kd-tree" in wanted:
         _write("kd_tree", [*kd_tree.measure_trees(work, rival), *kd_tree.drive()])
+    if "loops" in wanted:
+        seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["loops"]))
+        _write("loops", loops.measure_loops(arguments.data.parent / "keyframes", seeds=seeds))
 
 
 def main() -> None:

@@ -14,6 +14,7 @@ from benchmarks.graph_table import graph_section, graph_summary, scale_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.kd_tree import kd_tree_section
+from benchmarks.loops import loops_section
 from benchmarks.registration import registration_section
 from benchmarks.start import start_section
 
@@ -33,6 +34,7 @@ _OTHER_SECTIONS = {
     "registration": registration_section,
     "blind": blind_section,
     "kd_tree": kd_tree_section,
+    "loops": loops_section,
 }
 
 

@@ -79,12 +79,18 @@ class LoopConfig:
     reach, reach_up : float
         Distance between a query and a candidate, level and in height, beyond three sigmas of odometry's, at which they
         may still see the same [m].
-    candidates : int
-        Places asked for a query.
+    placed, candidates : int
+        Places asked of the detector for a query, and those of them, the ones first that odometry's covariance allows,
+        that are verified until one is not refused.
     voxel, levels : float, int
         Finest cubes of the registration [m], and number of levels.
     gate_probability : float
         A pose that odometry calls less likely than one less this is refused.
+    max_shift, max_shift_up : float
+        How far a loop may move its query from where odometry has it, level and in height [m]: buildings repeat by
+        corridors and storeys, and within half of that nothing but odometry tells twins apart.
+    max_doubt, max_doubt_up : float
+        Odometry's largest one-sigma of the query, level and in height, with which it can tell them [m].
     sigma, sigma_deg : float
         One-sigma that a registration of local maps is credited with at best, an axis [m], [deg]: neighbouring points
         share errors that its own covariance does not know of.
@@ -122,12 +128,17 @@ class LoopConfig:
     max_smear: float = 0.15
     fine_smear: float = 0.06
     apart: int = 30
-    reach: float = 12.0
-    reach_up: float = 2.0
+    reach: float = 8.0
+    reach_up: float = 1.5
+    placed: int = 20
     candidates: int = 5
     voxel: float = 0.25
     levels: int = 4
     gate_probability: float = 0.999
+    max_shift: float = 5.0
+    max_shift_up: float = 1.5
+    max_doubt: float = 2.0
+    max_doubt_up: float = 0.75
     sigma: float = 0.05
     sigma_deg: float = 0.5
     same: float = 0.4
@@ -137,7 +148,7 @@ class LoopConfig:
     max_residual: float = 0.6
     min_lead: float = 1.15
     max_blind: int = 0
-    max_blur: float = 0.1
+    max_blur: float = 0.25
     window: float = 20.0
     min_sequence: int = 2
     min_span: float = 2.0
@@ -147,7 +158,7 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         check_range(self, "before", "after", "max_blind", "min_sequence", low=0)
-        check_range(self, "apart", "candidates", "compared", "min_clique", low=1)
+        check_range(self, "apart", "placed", "candidates", "compared", "min_clique", low=1)
         check_range(self, "levels", low=1, high=8)
         check_range(
             self,
@@ -165,5 +176,6 @@ class LoopConfig:
         )
         check_range(self, "min_overlap", "min_inliers", low=0.0, high=1.0)
         check_range(self, "gate_probability", "consistency_probability", above=0.0, below=1.0)
+        check_range(self, "max_shift", "max_shift_up", "max_doubt", "max_doubt_up", above=0.0)
         check_range(self, "min_lead", low=1.0)
         check_range(self, "max_blur", "min_span", low=0.0)

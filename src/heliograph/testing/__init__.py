@@ -9,6 +9,7 @@ from heliograph.testing.groups import MAGNITUDES, assert_lie_group
 from heliograph.testing.jacobians import assert_jacobian, numeric_jacobian
 from heliograph.testing.kernels import RobustKernel, assert_robust_kernel
 from heliograph.testing.local_maps import assert_local_map
+from heliograph.testing.loop_detectors import assert_loop_detector
 from heliograph.testing.odometries import assert_odometry
 from heliograph.testing.sinks import assert_sink
 from heliograph.testing.sources import assert_source
@@ -21,6 +22,7 @@ __all__ = [
     "assert_jacobian",
     "assert_lie_group",
     "assert_local_map",
+    "assert_loop_detector",
     "assert_odometry",
     "assert_robust_kernel",
     "assert_sink",

@@ -12,7 +12,7 @@ from heliograph.slam.loops.records import (
     RelativePose,
     Verdict,
 )
-from heliograph.slam.loops.search import verify_places, within_reach
+from heliograph.slam.loops.search import rank_places, verify_places, within_reach
 from heliograph.slam.loops.submaps import LocalMaps, Submaps, local_map
 from heliograph.slam.loops.verify import loop_align_config, verify
 
@@ -35,6 +35,7 @@ __all__ = [
     "local_map",
     "loop_align_config",
     "maximum_clique",
+    "rank_places",
     "read_ledger",
     "verify",
     "verify_places",

@@ -32,6 +32,12 @@ def judge(evidence: LoopEvidence, config: LoopConfig | None = None) -> LoopDecis
     if not e.odom_mahalanobis <= gate:
         off = {"chi2": e.odom_mahalanobis, "allowed": gate, "distance_m": e.disagreement}
         return LoopDecision(verdict="rejected", reason="odometry", numbers=off)
+    limits = (e.shift_level / c.max_shift, e.shift_up / c.max_shift_up,
+              e.doubt_level / c.max_doubt, e.doubt_up / c.max_doubt_up)  # fmt: skip
+    if max(limits) > 1.0:
+        numbers = {"shift_m": e.shift_level, "shift_up_m": e.shift_up, "doubt_m": e.doubt_level,
+                   "doubt_up_m": e.doubt_up}  # fmt: skip
+        return LoopDecision(verdict="rejected", reason="twin", numbers=numbers)
     if e.overlap < c.min_overlap:
         numbers = {"query": e.overlap_query, "match": e.overlap_match, "needed": c.min_overlap}
         return LoopDecision(verdict="rejected", reason="overlap", numbers=numbers)
@@ -66,11 +72,10 @@ def judge_together(
 ) -> tuple[LoopDecision, ...]:
     """Decide anew about loops that are held or accepted, by the largest set that agrees pair by pair.
 
-    A held loop is accepted when it belongs to that set, the set is large enough, it has as many loops more than the largest
-    without them as a set must have at all,
-    and enough of it are of the loop's own sequence: other queries close by on the way, which must cover more way where
-    odometry knows less. Ambiguous loops count for nobody, and follow the others. An accepted loop that most of the set
-    contradicts is revoked.
+    A held loop is accepted when it belongs to that set, the set is large enough, it leads the largest set of the other
+    loops by as many as a set must have at all, and enough of it are of the loop's own sequence: other queries close by
+    on the way, which must cover more way where odometry knows less. Ambiguous loops count for nobody, and follow the
+    others. An accepted loop that most of such a set contradicts is revoked.
 
     Parameters
     ----------
@@ -115,13 +120,13 @@ def _held(
     c: LoopConfig,
 ) -> LoopDecision:
     if not fits:
-        numbers = {"agree": len(supporters), "loops": size}
-        return LoopDecision(verdict="held", reason="inconsistent", numbers=numbers)
+        against = {"agree": len(supporters), "loops": size}
+        return LoopDecision(verdict="held", reason="inconsistent", numbers=against)
     if size < rival + c.min_clique:
-        return LoopDecision(verdict="held", reason="ambiguous", numbers={"loops": size, "others": rival})
+        return LoopDecision(verdict="held", reason="rivals", numbers={"loops": size, "others": rival})
     queries, span = _sequence(loop, supporters, relative, c.window)
     needed = c.min_span * math.sqrt(max(float(np.linalg.eigvalsh(loop.odom_covariance[3:, 3:])[-1]), 0.0))
-    numbers = {"clique": size, "sequence": queries, "span_m": span, "needed_span_m": needed}
+    numbers: dict[str, float] = {"clique": size, "sequence": queries, "span_m": span, "needed_span_m": needed}
     if queries < c.min_sequence or span < needed:
         reason = "ambiguous" if decision.reason == "ambiguous" else "alone"
         return LoopDecision(verdict="held", reason=reason, numbers=numbers)

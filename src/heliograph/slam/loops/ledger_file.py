@@ -6,7 +6,7 @@ import csv
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -22,7 +22,7 @@ __all__ = ["LOOP_COLUMNS", "read_ledger", "write_ledger"]
 
 _RESIDUALS = tuple(ResidualDistribution.__slots__)
 _FLOATS = ("score", "overlap_query", "overlap_match", "inliers", "weakest", "odom_mahalanobis", "lead",
-           "blur_before", "blur_after")  # fmt: skip
+           "shift_level", "shift_up", "doubt_level", "doubt_up", "blur_before", "blur_after")  # fmt: skip
 _COUNTS = ("query", "match", "starts", "agreeing")
 _POSES = ("T_match_query", "T_match_query_odom")
 _COVARIANCES = ("covariance", "odom_covariance")
@@ -96,16 +96,14 @@ def _entry(path: Path, line: int, number: int, row: Mapping[str, str]) -> Ledger
             raise ValueError(f"number {row['number']} where {number} is due")
         if row["verdict"] not in get_args(Verdict) or row["reason"] not in REASONS:
             raise ValueError(f"unknown verdict or reason: {row['verdict']}, {row['reason']}")
-        evidence = LoopEvidence(
-            **{name: int(row[name]) for name in _COUNTS},
-            **{name: float(row[name] or "nan") for name in _FLOATS},
-            **{name: _pose(row[name]) for name in _POSES},
-            **{name: _covariance(row[name]) for name in _COVARIANCES},
-            source=row["source"],
-            status=row["status"],
-            blind=tuple(row["blind"].split("; ")) if row["blind"] else (),
-            residuals=ResidualDistribution(**{n: float(row[f"residual_{n}"] or "nan") for n in _RESIDUALS}),
-        )
+        fields: dict[str, Any] = {name: row[name] for name in ("source", "status")}
+        fields |= {name: int(row[name]) for name in _COUNTS}
+        fields |= {name: float(row[name] or "nan") for name in _FLOATS}
+        fields |= {name: _pose(row[name]) for name in _POSES}
+        fields |= {name: _covariance(row[name]) for name in _COVARIANCES}
+        residuals = ResidualDistribution(**{n: float(row[f"residual_{n}"] or "nan") for n in _RESIDUALS})
+        blind = tuple(row["blind"].split("; ")) if row["blind"] else ()
+        evidence = LoopEvidence(residuals=residuals, blind=blind, **fields)
         named = (item.split("=") for item in row["numbers"].split())
         numbers = {name: float(value or "nan") for name, value in named}
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -23,11 +23,13 @@ REASONS: Mapping[str, str] = {
     "by-hand": "added by hand",
     "no-pose": "registration found no pose",
     "odometry": "odometry's covariance excludes the pose",
+    "twin": "odometry knows the way too badly to tell the place from one a storey or a corridor away",
     "overlap": "too little of the local maps overlaps",
     "fit": "what overlaps does not fit",
     "blind": "the match leaves directions unseen",
     "blur": "the map is less sharp with it than without",
     "ambiguous": "another pose that odometry allows fits nearly as well",
+    "rivals": "another set of loops, which contradicts its own, is nearly as large",
     "alone": "too few loops of the same sequence agree with it yet",
     "inconsistent": "a larger set of loops contradicts it",
     "solve": "the graph's solution contradicts it",
@@ -86,13 +88,17 @@ class LoopEvidence:
         Covariance of that.
     odom_mahalanobis : float
         Squared distance of the two in both covariances: chi-square with six degrees of freedom if they agree.
+    shift_level, shift_up : float
+        How far the pose moves the query from where odometry has it, level and in height [m].
+    doubt_level, doubt_up : float
+        Odometry's one-sigma of the query there, along the worst level axis and in height [m].
     starts, agreeing : int
         Registrations made, and those that ended at this pose.
     lead : float
         Evidence over that of the best other pose that odometry allows; infinite where there is none.
     blur_before, blur_after : float
-        Growth of the entropy by joining the local maps where odometry has them, and at the pose [nat]: 0 where walls fall
-        onto walls; NaN where nothing falls together.
+        Growth of the entropy by joining the local maps where odometry has them, and at the pose [nat]: 0 where
+        walls fall onto walls; NaN where nothing falls together.
     score : float
         Likeness by the detector; NaN where none proposed it.
     """
@@ -115,6 +121,10 @@ class LoopEvidence:
     starts: int
     agreeing: int
     lead: float
+    shift_level: float = 0.0
+    shift_up: float = 0.0
+    doubt_level: float = 0.0
+    doubt_up: float = 0.0
     blur_before: float = float("nan")
     blur_after: float = float("nan")
     score: float = float("nan")

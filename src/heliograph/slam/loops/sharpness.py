@@ -28,7 +28,7 @@ def joined_blur(target: Points, source: Points, T_target_source: Array, edge: fl
     T_target_source : (4, 4) float64
         The pose.
     edge : float
-        Of a cube [m].
+        Edge of a cube [m].
     """
     a, b = (cloud[:: max(1, len(cloud) // _THINNED)] for cloud in (target, source))
     moved = b @ T_target_source[:3, :3].T.astype(np.float32) + T_target_source[:3, 3].astype(np.float32)
@@ -54,7 +54,7 @@ def _moments(points: Points, which: NDArray[np.int64], cells: int) -> tuple[Arra
     for i in range(3):
         for j in range(i, 3):
             products[:, i, j] = products[:, j, i] = np.bincount(which, p[:, i] * p[:, j], cells)
-    return count, total, products
+    return count, np.asarray(total, dtype=np.float64), products
 
 
 def _entropy(count: Array, total: Array, products: Array) -> Array:

@@ -10,14 +10,13 @@ import numpy as np
 from heliograph.arrays import Array, freeze
 from heliograph.config import AlignConfig, LoopConfig
 from heliograph.errors import DataError
-from heliograph.lie import se3
 from heliograph.registration import AlignResult, PreparedCloud, align
 from heliograph.slam.loops.records import LoopEvidence, LoopStart, RelativePose
 from heliograph.slam.loops.sharpness import joined_blur
 from heliograph.slam.loops.submaps import LocalMaps
 from heliograph.slam.loops.tangent import gate_of, mahalanobis, near
 
-__all__ = ["loop_align_config", "verify", "window_end"]
+__all__ = ["guess_distance", "loop_align_config", "verify", "window_end"]
 
 _LEVER_M = 10.0  # distance at which a local map's turn is counted as smear
 _MIN_REACH = 2  # keyframes that a local map reaches on either side whatever their smear
@@ -112,6 +111,7 @@ def verify(
     fine = _pair(query, match, maps, relative, config, config.fine_smear)
     if fine.ends != wide.ends:
         evidence = _refined(evidence, fine, config, maps.config, threads)
+    evidence = _with_shift(evidence, maps.submaps.T_odom_imu(query), maps.submaps.T_odom_imu(match))
     return with_blur(evidence, wide.target, wide.source, config)
 
 
@@ -143,14 +143,17 @@ def _pair(query: int, match: int, maps: LocalMaps, relative: RelativePose, confi
 def _refined(
     evidence: LoopEvidence, fine: _Pair, config: LoopConfig, settings: AlignConfig, threads: int
 ) -> LoopEvidence:
-    """Return the evidence with the pose of smaller local maps, which odometry bends less, where they see enough."""
+    """Return the evidence with the pose of smaller local maps, which odometry bends less, where they see enough.
+
+    Where they see another pose the match is ambiguous.
+    """
     T = evidence.T_match_query
     result = align(fine.target, fine.source, start=T, config=settings, threads=threads)
     if result.status != "converged" or result.T_target_source is None:
         return evidence
     covariance = _covariance(result, fine.bent, config)
-    if mahalanobis(T, result.T_target_source, evidence.covariance + covariance) > gate_of(config.gate_probability):
-        return evidence
+    if not near(T, result.T_target_source, config.same, config.same_deg):
+        return replace(evidence, lead=1.0)
     odom = evidence.T_match_query_odom, result.T_target_source, evidence.odom_covariance + covariance
     return replace(
         evidence, T_match_query=result.T_target_source, covariance=covariance, odom_mahalanobis=mahalanobis(*odom)
@@ -215,6 +218,22 @@ def _bent(centre: int, end: int, relative: RelativePose) -> Array:
     return relative(middle, centre)[1] if middle < centre else np.zeros((6, 6))
 
 
+def _with_shift(evidence: LoopEvidence, T_odom_query: Array, T_odom_match: Array) -> LoopEvidence:
+    """Return the evidence with the query's shift and odometry's doubt about it, level and in height."""
+    shift = evidence.T_match_query[:3, 3] - evidence.T_match_query_odom[:3, 3]
+    x, y, z = T_odom_match[:3, :3] @ shift
+    R = T_odom_query[:3, :3]
+    S = R @ evidence.odom_covariance[3:, 3:] @ R.T
+    level = float(np.linalg.eigvalsh(S[:2, :2])[-1])
+    return replace(
+        evidence,
+        shift_level=float(np.hypot(x, y)),
+        shift_up=float(abs(z)),
+        doubt_level=float(np.sqrt(max(level, 0.0))),
+        doubt_up=float(np.sqrt(max(S[2, 2], 0.0))),
+    )
+
+
 def with_blur(evidence: LoopEvidence, target: PreparedCloud, source: PreparedCloud, config: LoopConfig) -> LoopEvidence:
     """Return the evidence with the blur of joining the local maps where odometry has them, and at the pose."""
     edge = 2.0 * config.voxel
@@ -225,16 +244,16 @@ def with_blur(evidence: LoopEvidence, target: PreparedCloud, source: PreparedClo
 
 def _distinct(starts: Sequence[LoopStart], prior: tuple[Array, Array], config: LoopConfig) -> list[LoopStart]:
     kept: list[LoopStart] = []
-    gate = 2.0 * gate_of(config.gate_probability)  # a guess is off by a cell, and may be pulled in
+    gate = 2.0 * gate_of(config.gate_probability)  # registration may pull it in
     for start in starts:
-        allowed = start.source in ("odometry", "hand") or _outside(start.T_match_query, prior, config) <= gate
+        allowed = start.source in ("odometry", "hand") or guess_distance(start.T_match_query, prior, config) <= gate
         if allowed and not any(near(start.T_match_query, k.T_match_query, config.same, config.same_deg) for k in kept):
             kept.append(start)
     return kept
 
 
-def _outside(T: Array, prior: tuple[Array, Array], config: LoopConfig) -> float:
-    """Squared distance from odometry's pose of a guess that is good to a few edges of the finest cubes."""
+def guess_distance(T: Array, prior: tuple[Array, Array], config: LoopConfig) -> float:
+    """Return the squared distance from odometry's pose of a guess that is good to a few edges of the finest cubes."""
     sigma = np.concatenate([np.full(3, np.radians(config.same_deg)), np.full(3, 2.0 * config.voxel)])
     return mahalanobis(prior[0], T, prior[1] + np.diag(sigma**2))
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from heliograph.arrays import Array, Indices, Mask, Points, as_points, freeze
 from heliograph.config import PlacesConfig
@@ -61,7 +60,7 @@ class BirdsEyeDetector:
         self.config = config or PlacesConfig()
         self._bits = self.config.size**2 // 8
         self._table = DescriptorTable(self._bits + _ANGLES * _FREQUENCIES + _LAYERS)
-        self._padded = int(fft.next_fast_len(int(_MARGIN * self.config.size), real=True))
+        self._padded = _fast_length(int(_MARGIN * self.config.size))
 
     def __len__(self) -> int:
         return len(self._table)
@@ -103,11 +102,11 @@ class BirdsEyeDetector:
         size = self.config.size
         cells = np.argwhere(picture) - (size - 1) / 2.0
         angles = np.pi * np.arange(_ANGLES) / _ANGLES
-        bins = int(fft.next_fast_len(int(np.ceil(np.sqrt(2.0) * size)) + 1, real=True))
+        bins = _fast_length(int(np.ceil(np.sqrt(2.0) * size)) + 1)
         offset = np.rint(cells @ np.array([np.cos(angles), np.sin(angles)])).astype(np.int64) + bins // 2
         keys = offset + bins * np.arange(_ANGLES)
         sinogram = np.bincount(keys.ravel(), minlength=_ANGLES * bins).reshape(_ANGLES, bins).astype(np.float32)
-        return np.abs(fft.rfft(sinogram, axis=1)[:, 1 : _FREQUENCIES + 1])
+        return np.asarray(np.abs(np.fft.rfft(sinogram, axis=1)[:, 1 : _FREQUENCIES + 1]), dtype=np.float32)
 
     def _parts(self, descriptor: Descriptor) -> _Parts:
         size, end = self.config.size, self._bits + _ANGLES * _FREQUENCIES
@@ -122,23 +121,23 @@ class BirdsEyeDetector:
         stored = self._table.rows(rows)[:, self._bits : self._bits + _ANGLES * _FREQUENCIES]
         a = _standard(stored.reshape(-1, _ANGLES, _FREQUENCIES).astype(np.float32))
         b = _standard(query.spectrum[None])[0]
-        products = fft.rfft(a, axis=1) * np.conj(fft.rfft(b, axis=0))
-        likeness = fft.irfft(products.sum(axis=2), n=_ANGLES, axis=1)
+        products = np.fft.rfft(a, axis=1) * np.conj(np.fft.rfft(b, axis=0))
+        likeness = np.fft.irfft(products.sum(axis=2), n=_ANGLES, axis=1)
         turns = np.argmax(likeness, axis=1)
-        return likeness[np.arange(len(rows)), turns].astype(np.float64), turns
+        return np.asarray(likeness[np.arange(len(rows)), turns], dtype=np.float64), turns
 
     def _place(self, query: _Parts, rows: Indices, turns: Indices) -> list[PlaceMatch]:
-        cells = np.argwhere(query.picture) - (self.config.size - 1) / 2.0
+        cells = np.asarray(np.argwhere(query.picture) - (self.config.size - 1) / 2.0, dtype=np.float64)
         turned: dict[int, NDArray[np.complex64]] = {}
         found = []
         for row, turn in zip(rows, turns, strict=True):
             match = self._parts(self._table.rows(np.array([row]))[0])
-            image = fft.rfft2(_spread(match.picture), s=(self._padded, self._padded))
+            image = np.fft.rfft2(_spread(match.picture), s=(self._padded, self._padded))
             best = (-1.0, 0, 0, 0)
             for half in (int(turn), int(turn) + _ANGLES):
                 if half not in turned:
-                    turned[half] = np.conj(fft.rfft2(self._turned(cells, half)))
-                best = max(best, (*_peak(fft.irfft2(image * turned[half], s=(self._padded,) * 2)), half))
+                    turned[half] = np.conj(np.fft.rfft2(self._turned(cells, half)))
+                best = max(best, (*_peak(np.fft.irfft2(image * turned[half], s=(self._padded,) * 2)), half))
             norm = np.sqrt(max(len(cells), 1) * max(int(match.picture.sum()), 1))
             found.append(self._match(int(row), best, float(norm), _lift(match.heights, query.heights)))
         return found
@@ -163,6 +162,11 @@ class BirdsEyeDetector:
         return PlaceMatch(index=self._table.index(row), score=score, T_match_query=T)
 
 
+def _fast_length(n: int) -> int:
+    """Return the next multiple of 16, whose transforms are quick."""
+    return -(-n // 16) * 16
+
+
 def _bytes(values: Floats) -> Descriptor:
     return np.asarray(np.rint(values.ravel() * (255.0 / max(float(values.max()), 1e-12))), dtype=np.uint8)
 
@@ -181,10 +185,10 @@ def _spread(picture: NDArray[np.bool_]) -> Floats:
     near[:-1] = np.maximum(near[:-1], p[1:])
     near[:, 1:] = np.maximum(near[:, 1:], p[:, :-1])
     near[:, :-1] = np.maximum(near[:, :-1], p[:, 1:])
-    return np.maximum(p, np.float32(0.5) * near)
+    return np.asarray(np.maximum(p, np.float32(0.5) * near))
 
 
-def _peak(correlation: Floats) -> tuple[float, int, int]:
+def _peak(correlation: NDArray[np.floating]) -> tuple[float, int, int]:
     n = correlation.shape[0]
     at = int(np.argmax(correlation))
     x, y = divmod(at, n)

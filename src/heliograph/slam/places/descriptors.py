@@ -33,8 +33,8 @@ class DescriptorTable:
         row = as_array("descriptor", descriptor, np.uint8, (None,))
         if len(row) != self.width:
             raise DataError(
-                f"the descriptor of keyframe {index} has {len(row)} bytes and this detector's have {self.width}: it was "
-                "made by another method or with other settings; describe the keyframe's cloud anew"
+                f"the descriptor of keyframe {index} has {len(row)} bytes and this detector's have {self.width}: it "
+                "was made by another method or with other settings; describe the keyframe's cloud anew"
             )
         if len(self) == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
