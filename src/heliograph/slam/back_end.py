@@ -90,7 +90,8 @@ class BackEnd:
 
     def compare(self, query: int, match: int) -> LoopEvidence:
         """Register two keyframes from where the graph and the odometry have them."""
-        return self._search.verified(query, self._search.by_hand(query, match, self.T_map_imu))
+        T = self.T_map_imu
+        return self._search.verified(query, self._search.by_hand(query, match, T), T)
 
     def add(self, keyframe: Keyframe) -> GraphUpdate:
         """Take the next keyframe into the graph."""
@@ -102,7 +103,7 @@ class BackEnd:
         changed: list[LedgerEntry] = []
         if self._config.slam.loops:
             for candidate in self._search.candidates(keyframe.index, before):  # (5) who looks like it
-                evidence = self._search.verified(keyframe.index, candidate)  # (6) does it match
+                evidence = self._search.verified(keyframe.index, candidate, before)  # (6) does it match
                 changed += self.ledger.add(evidence, self.chain.relative)  # (7) is it to be believed
                 if changed[-1].decision.verdict != "rejected":
                     break

@@ -23,6 +23,8 @@ _PULLED_IN = 0.3  # a position known so well needs no detector: registration fin
 _TURNED_IN = np.radians(3.0)  # the same of rotation
 _DESCRIBED = 2  # every second keyframe has a descriptor: its neighbours look like it
 _CATCH_UP = 4  # descriptors made at one keyframe, so that none has to wait for hundreds
+_TURNED_APART = 30.0  # distance that counts as much as being turned by 120 degrees [m]: the field of view may be narrow
+_TRIED = 3  # such places
 _MOST_POINTS = 30_000  # of a local map that is described
 _ANCHOR = 5  # of places known so well every fifth keyframe is matched with: neighbours share its local map
 
@@ -108,7 +110,7 @@ class LoopSearch:
         worth = odometry[:, 0] >= self._slam.loop_worth
         sure = (known[:, 0] <= _PULLED_IN) & (known[:, 1] <= _TURNED_IN)
         near = np.flatnonzero(reach & worth & sure & (_distances(T_map_imu, query, count) <= self._slam.loop_reach))
-        found = [self._nearest(query, near, T_map_imu)] if len(near) else []
+        found = self._nearest(query, near, T_map_imu) if len(near) else []
         if (unsure := reach & worth & ~sure).any():
             found += self._alike(query, unsure, T_map_imu)
         return tuple(found)
@@ -119,12 +121,30 @@ class LoopSearch:
         hand = LoopStart(source="hand", T_match_query=start.T_match_query)
         return Candidate(match=match, score=float("nan"), starts=(hand,))
 
-    def verified(self, query: int, candidate: Candidate) -> LoopEvidence:
-        """Register the query against a candidate from its guesses and odometry's, and return the evidence."""
+    def verified(self, query: int, candidate: Candidate, T_map_imu: Array) -> LoopEvidence:
+        """Register the query against a candidate from its guesses and the graph's, and return the evidence."""
+
+        def relative(a: int, b: int) -> tuple[Array, Array]:
+            return self._relative(a, b, T_map_imu)
+
         return verify(
-            query, candidate.match, self._maps, candidate.starts, self._chain.relative, newest=query,
+            query, candidate.match, self._maps, candidate.starts, relative, newest=query,
             config=self._config, score=candidate.score,
         )  # fmt: skip
+
+    def _relative(self, a: int, b: int, T_map_imu: Array) -> tuple[Array, Array]:
+        """Return ``T_a_b`` as the graph has it, and its covariance by odometry or over the loop that knows it best."""
+        T, covariance = self._chain.relative(a, b)
+        if b - a < self._config.apart or not self._standing:
+            return T, covariance
+        for loop in self._standing:
+            T_q_b, after = self._chain.relative(loop.query, b)
+            _, before = self._chain.relative(a, loop.match)
+            to_query, to_b = se3.adjoint(se3.inverse(loop.T_match_query)), se3.adjoint(se3.inverse(T_q_b))
+            over = after + to_b @ (loop.covariance + to_query @ before @ to_query.T) @ to_b.T
+            if np.trace(over[3:, 3:]) < np.trace(covariance[3:, 3:]):
+                covariance = over
+        return np.ascontiguousarray(se3.inverse(T_map_imu[a]) @ T_map_imu[b]), np.asarray(covariance)
 
     def _open(self, query: int, count: int) -> tuple[Array, Array]:
         """Return what odometry leaves open of each keyframe's pose against the query's, and the graph with its loops.
@@ -144,14 +164,17 @@ class LoopSearch:
         position = np.linalg.eigvalsh(covariances[:, 3:, 3:])[:, -1]
         return np.maximum(np.stack([position, np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1]], axis=1), 0.0)
 
-    def _nearest(self, query: int, near: np.ndarray, T_map_imu: Array) -> Candidate:
+    def _nearest(self, query: int, near: np.ndarray, T_map_imu: Array) -> list[Candidate]:
+        """Return the places that should share most with the query: near by, and seen in the same direction."""
         anchors = near[near % _ANCHOR == 0]
         some = anchors if len(anchors) else near
         apart = np.linalg.norm(T_map_imu[some, :3, 3] - T_map_imu[query, :3, 3], axis=1)
-        # Seen from the same side it shares more.
         turned = 1.0 - np.einsum("nij,ij->n", T_map_imu[some, :3, :3], T_map_imu[query, :3, :3]) / 3.0
-        match = int(some[np.argmin(apart + self._slam.loop_reach * turned)])
-        return Candidate(match=match, score=float("nan"), starts=(self._by_graph(query, match, T_map_imu),))
+        best = some[np.argsort(apart + _TURNED_APART * turned, kind="stable")[:_TRIED]]
+        return [
+            Candidate(match=int(k), score=float("nan"), starts=(self._by_graph(query, int(k), T_map_imu),))
+            for k in best
+        ]
 
     def _alike(self, query: int, allowed: Mask, T_map_imu: Array) -> list[Candidate]:
         indices = np.array(self._described, dtype=np.int64)

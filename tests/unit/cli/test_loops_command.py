@@ -11,6 +11,9 @@ from heliograph.cli.main import main
 from heliograph.io.files.clouds import write_cloud
 from heliograph.io.files.tum import read_tum
 
+DRIFT = ("slam.pose_position_sigma=0.02", "slam.pose_rotation_sigma_deg=0.2")
+SETTINGS = [word for setting in ("loops.apart=15", *DRIFT) for word in ("--set", setting)]
+
 
 @pytest.fixture(scope="module")
 def walk():
@@ -35,7 +38,7 @@ def run(keyframes, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
     code = main([
         "run", str(keyframes), "--odometry", str(keyframes / "poses.txt"), "-o", str(folder), "--quiet",
-        "--set", "loops.apart=15", "--set", "slam.pose_position_sigma=0.02", "--set", "slam.pose_rotation_sigma_deg=0.2",
+        *SETTINGS,
     ])  # fmt: skip
     assert code == 0
     return folder

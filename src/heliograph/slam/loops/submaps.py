@@ -12,6 +12,7 @@ from heliograph.arrays import Array, Points
 from heliograph.config import AlignConfig
 from heliograph.lie import se3
 from heliograph.registration import PreparedCloud, prepare_cloud
+from heliograph.slam.transform import transformed
 
 __all__ = ["LocalMaps", "Submaps", "local_map"]
 
@@ -34,9 +35,7 @@ def local_map(submaps: Submaps, centre: int, members: Iterable[int]) -> Points:
     T_centre_odom = se3.inverse(submaps.T_odom_imu(centre))
     parts = []
     for index in members:
-        T = T_centre_odom @ submaps.T_odom_imu(index)
-        cloud = submaps.points(index)
-        parts.append(cloud @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32))
+        parts.append(transformed(submaps.points(index), T_centre_odom @ submaps.T_odom_imu(index)))
     return np.ascontiguousarray(np.concatenate(parts), dtype=np.float32) if parts else np.zeros((0, 3), np.float32)
 
 
@@ -47,7 +46,8 @@ class LocalMaps:
     ----------
     submaps : Submaps
     config : AlignConfig
-        What they are prepared with; they are seen from many origins, so ``one_sided`` must be off.
+        What they are prepared with. With ``one_sided`` a surface shows the side that the map's centre sees: the ceiling
+        of a storey is not the floor of the next.
     kept : int
         Number of maps kept.
     """

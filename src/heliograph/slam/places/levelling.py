@@ -6,6 +6,7 @@ import numpy as np
 
 from heliograph.arrays import Array, Points, as_points, as_pose
 from heliograph.lie import se3, so3
+from heliograph.slam.transform import transformed
 
 __all__ = ["body_guess", "level_points", "level_pose"]
 
@@ -23,8 +24,7 @@ def level_pose(T_odom_imu: Array) -> Array:
 
 def level_points(points_imu: Points, T_odom_imu: Array) -> Points:
     """Return points (N, 3) float32 of a body frame in its levelled frame."""
-    R = level_pose(T_odom_imu)[:3, :3].astype(np.float32)
-    return np.ascontiguousarray(as_points("points_imu", points_imu) @ R.T)
+    return transformed(as_points("points_imu", points_imu), level_pose(T_odom_imu))
 
 
 def body_guess(T_match_query_level: Array, T_odom_match: Array, T_odom_query: Array) -> Array:
