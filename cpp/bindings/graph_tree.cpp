@@ -131,11 +131,12 @@ void bind_contents(nb::class_<SharedTree>& bound) {
            "variables"_a.noconvert())
       .def("add_kind", &add_kind, "type"_a, "manifolds"_a.noconvert(), "dofs"_a.noconvert(), "rows"_a, "noise"_a, "kernel"_a,
            "width"_a, "measurement"_a)
-      .def("add_factors", [](SharedTree& t, int kind, const Indices& variables, const Doubles& measurement, const Doubles& noise) {
+      .def("add_factors", [](SharedTree& t, int kind, const Indices& variables, const Doubles& measurement, const Doubles& noise,
+                             bool let_go) {
              return to_array(t.call([&](BayesTree& tree) {
-               return tree.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise));
+               return tree.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise), let_go);
              }));
-           }, "kind"_a, "variables"_a.noconvert(), "measurement"_a.noconvert(), "sqrt_information"_a.noconvert())
+           }, "kind"_a, "variables"_a.noconvert(), "measurement"_a.noconvert(), "sqrt_information"_a.noconvert(), "let_go"_a = false)
       .def("remove_factors", [](SharedTree& t, const Indices& f) {
              t.call([&](BayesTree& tree) { tree.remove_factors(span_of(f)); });
            }, "factors"_a.noconvert())
@@ -144,7 +145,11 @@ void bind_contents(nb::class_<SharedTree>& bound) {
            }, "factors"_a.noconvert())
       .def("weigh_factors", [](SharedTree& t, const Indices& f, const Doubles& w) {
              t.call([&](BayesTree& tree) { tree.weigh_factors(span_of(f), span_of(w)); });
-           }, "factors"_a.noconvert(), "weights"_a.noconvert());
+           }, "factors"_a.noconvert(), "weights"_a.noconvert())
+      .def("let_go", [](SharedTree& t, const Indices& f) { t.call([&](BayesTree& tree) { tree.let_go(span_of(f)); }); },
+           "factors"_a.noconvert())
+      .def("take_back", [](SharedTree& t, const Indices& f) { t.call([&](BayesTree& tree) { tree.take_back(span_of(f)); }); },
+           "factors"_a.noconvert());
 }
 
 // One update, step by step, and what leaves.
@@ -202,6 +207,18 @@ void bind_answers(nb::class_<SharedTree>& bound) {
       .def("clique_table", [](SharedTree& t) { return t.call([](BayesTree& tree) { return clique_table(tree); }); })
       .def("largest_step", [](SharedTree& t) { return t.call([](BayesTree& tree) { return tree.largest_step(); }); })
       .def("cost", [](SharedTree& t) { return t.call([](BayesTree& tree) { return tree.cost().cost; }); })
+      .def("factor_data", [](SharedTree& t, int32_t f) {  // variables, measurement, form of noise, its numbers
+             auto [scope, alone] = t.call([&](BayesTree& tree) { return tree.factor_alone(f); });
+             return nb::make_tuple(to_array(std::move(scope)), to_array(std::move(alone.measurement)),
+                                   static_cast<int>(alone.noise), to_array(std::move(alone.sqrt_information)));
+           }, "factor"_a)
+      .def("squared", [](SharedTree& t, const Indices& f, uint32_t since) {
+             return to_array(t.call([&](BayesTree& tree) { return tree.squared(span_of(f), since); }));
+           }, "factors"_a.noconvert(), "since"_a)
+      .def("innovations", [](SharedTree& t, const Indices& f) {
+             return to_array(t.call([&](BayesTree& tree) { return tree.innovations(span_of(f)); }));
+           }, "factors"_a.noconvert())
+      .def_prop_ro("solves", number(&BayesTree::solves))
       .def("save", &save)
       .def("load", &load, "state"_a)
       .def("bytes", [](SharedTree& t) { return t.call([](BayesTree& tree) { return tree.bytes(); }); })

@@ -8,6 +8,7 @@
 #pragma once
 #include <cstdint>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "graph/tree/archive.hpp"
@@ -38,12 +39,16 @@ class BayesTree {
   void hold(std::span<const int32_t> fresh) { journal_.hold(fresh); }  // at the values that they came with
   int32_t add_kind(const FactorKind& kind) { return store_.factors.add_kind(kind); }
   std::vector<int32_t> add_factors(int32_t kind, std::span<const int32_t> variables, std::span<const double> measurement,
-                                   std::span<const double> sqrt_information) {
-    return journal_.add_factors(kind, variables, measurement, sqrt_information);
+                                   std::span<const double> sqrt_information, bool let_go) {
+    return journal_.add_factors(kind, variables, measurement, sqrt_information, let_go);
   }
   void remove_factors(std::span<const int32_t> factors) { journal_.remove_factors(factors); }
   bool has_factors(std::span<const int32_t> factors) const { return store_.factors.has(factors); }
   void weigh_factors(std::span<const int32_t> factors, std::span<const double> weights) { journal_.weigh_factors(factors, weights); }
+
+  // Factors that keep their numbers and say nothing, as those that come with `let_go`; and such as speak again.
+  void let_go(std::span<const int32_t> factors) { journal_.let_go(factors); }
+  void take_back(std::span<const int32_t> factors) { journal_.take_back(factors); }
 
   // --- one update, step by step ---
   // Variables whose step is longer than the threshold take it into their linearisation point; returns how many. At most
@@ -91,7 +96,15 @@ class BayesTree {
   std::span<const double> theta() const { return store_.variables.all_theta(); }
   std::span<const double> delta() const { return store_.variables.all_delta(); }
   double largest_step() const { return store_.variables.largest_step(); }
-  GroupCost cost() const;  // of all factors at the estimate
+  GroupCost cost() const;  // of all factors at the estimate, but those that are let go
+  // One factor of weight one without kernel, and its variables.
+  std::pair<std::vector<int32_t>, FactorGroup> factor_alone(int32_t factor) const;
+  uint32_t solves() const { return steps_.solves(); }  // so far
+  // Squared whitened residuals at the estimate, -1 where no variable has moved since a solve.
+  std::vector<double> squared(std::span<const int32_t> factors, uint32_t since);
+  // How far each factor is from what all others say, and what of that is left when it has its say: two numbers each, see
+  // `Innovation`.
+  std::vector<double> innovations(std::span<const int32_t> factors);
   std::vector<double> covariance(std::span<const int32_t> variables) const;        // see `TreeCovariance`
   std::vector<double> joint_covariance(std::span<const int32_t> variables) const;
   const std::vector<int32_t>& made() const { return steps_.made(); }  // cliques of the last update

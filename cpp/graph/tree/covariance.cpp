@@ -97,7 +97,8 @@ class PathSolve {
   Eigen::Index first(int32_t variable) const { return first_.at(variable); }
   Matrix& X() { return X_; }
 
-  void run() {
+  // L^-1 X.
+  void forward() {
     const std::vector<int32_t>& order = paths_.order();
     for (size_t i = order.size(); i-- > 0;) {
       const Clique& clique = paths_.at(order[i]);
@@ -106,7 +107,11 @@ class PathSolve {
       L.topRows(clique.pivots).triangularView<Eigen::Lower>().solveInPlace(pivots);
       if (clique.rows > 0) X_(rows(clique), Eigen::all) -= L.bottomRows(clique.rows) * pivots;
     }
-    for (const int32_t c : order) {
+  }
+
+  void run() {
+    forward();
+    for (const int32_t c : paths_.order()) {
       const Clique& clique = paths_.at(c);
       const Columns L = columns_of(clique);
       auto pivots = X_.middleRows(first(clique.nodes.front()), clique.pivots);
@@ -182,6 +187,20 @@ std::vector<double> TreeCovariance::joint(std::span<const int32_t> asked) const 
       for (Eigen::Index c = 0; c < size; ++c)
         out[r * static_cast<size_t>(size) + static_cast<size_t>(c)] = solve.X()(place[r], c);
   return out;
+}
+
+Eigen::MatrixXd TreeCovariance::projected(std::span<const int32_t> of, const Eigen::MatrixXd& J) const {
+  const TreeVariables& variables = store_.variables;
+  const Paths paths(store_, of);
+  PathSolve solve(paths, variables, J.rows());
+  Eigen::Index column = 0;
+  for (const int32_t v : of) {
+    const Eigen::Index d = variables.dof(v);
+    if (variables.clique_of(v) >= 0) solve.X().middleRows(solve.first(v), d) += J.middleCols(column, d).transpose();
+    column += d;
+  }
+  solve.forward();
+  return solve.X().transpose() * solve.X();
 }
 
 }  // namespace heliograph

@@ -148,8 +148,8 @@ def solve_robust(
         The graph does not fit the values, or a number in `trusted` is not a factor's.
     """
     settings = settings or RobustSettings()
-    known = _trusted(graph, trusted)
-    bound, median = _quantiles(graph, settings.probability), _quantiles(graph, 0.5)
+    known = trusted_factors(graph, trusted)
+    bound, median = row_quantiles(graph, settings.probability), row_quantiles(graph, 0.5)
     run = Rounds(graph, values, known, settings.steps_per_round, settings.max_rounds, threads)
     run.trusted_only()
     borne = run.borne_out(bound)
@@ -177,15 +177,15 @@ def solve_robust(
     )
 
 
-def _quantiles(graph: FactorGraph, probability: float) -> Array:
+def row_quantiles(graph: FactorGraph, probability: float) -> Array:
     """Return the chi-square quantile of every factor's rows, (N,)."""
     rows = np.concatenate([np.full(len(a.record), a.record.rows) for a in graph.groups()] or [np.zeros(0, np.int64)])
     kinds, which = np.unique(rows, return_inverse=True)
     return np.array([chi_square_quantile(probability, int(r)) for r in kinds], dtype=np.float64)[which]
 
 
-def _trusted(graph: FactorGraph, trusted: ArrayLike | None) -> Mask:
-    """Return which factors are trusted, (N,)."""
+def trusted_factors(graph: FactorGraph, trusted: ArrayLike | None) -> Mask:
+    """Return which factors are trusted, (N,); without a choice all but loops: keys that do not follow each other."""
     known = np.zeros(len(graph), dtype=bool)
     if trusted is None:
         for added in graph.groups():

@@ -3,49 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
-from typing import NamedTuple, TypeAlias
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
-from heliograph.arrays import Array
+from heliograph.arrays import Array, Keys, Mask
 from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.diagnosis.diagnosis import diagnose
 from heliograph.graph.incremental.budget import UNBOUNDED, Budget
-from heliograph.graph.incremental.custom_factors import CustomFactors, CustomKind
 from heliograph.graph.incremental.early import EarlyVariables
-from heliograph.graph.incremental.settings import CONSTRAINT_SIGMA
+from heliograph.graph.incremental.staging import Staged, Staging
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import Added, FactorGraph
 from heliograph.graph.model.factors import Prior
 from heliograph.graph.model.families import Family, Value
-from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.key_runs import KeyRuns
-from heliograph.graph.model.noise import Isotropic, Whitening
-from heliograph.graph.model.records import FactorRecord, as_keys, key_list
+from heliograph.graph.model.noise import Isotropic
+from heliograph.graph.model.records import as_keys, key_list
 from heliograph.graph.model.symbols import key_name
 from heliograph.graph.model.values import Values
+from heliograph.lie import se2, se3
 
 __all__ = ["TreeState"]
 
 Int32s = NDArray[np.int32]
-# What tells kinds of factors apart: type, own class, families, form of noise, kernel, rows, shapes of what is measured.
-KindName: TypeAlias = tuple[
-    int, type[Factor] | None, tuple[Family, ...], int, Kernel | None, int, tuple[tuple[int, ...], ...]
-]
-
-
-class _Staged(NamedTuple):
-    """Factors of one kind, checked and ready to be handed over."""
-
-    rows: slice | NDArray[np.int64]  # of all new factors, which these are
-    kind: int
-    scopes: Int32s
-    measurement: Array
-    sqrt_information: Array
-    data: tuple[Array, ...]
 
 
 class TreeState:
@@ -57,8 +40,7 @@ class TreeState:
         self._keys: list[int] = []  # by variable; numbers of variables that left are given again
         self._families: list[Family] = []
         self._left = KeyRuns()
-        self._kinds: dict[KindName, int] = {}
-        self._custom = CustomFactors()
+        self.staging = Staging(self.native)
         self.early = EarlyVariables()
         self._switched: dict[int, float] = {}  # weights that the next update brings in
         # The update that is under way adds these variables and custom factors, and removes these factors.
@@ -67,15 +49,18 @@ class TreeState:
         self._removed: list[int] = []
         self._made = False  # a pass of it has ended
 
-    def add(self, graph: FactorGraph | None, values: Values | None) -> Int32s:
-        """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
+    def add(self, graph: FactorGraph | None, values: Values | None, let_go: Mask | None = None) -> Int32s:
+        """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed.
+
+        Those in the mask `let_go` (N,) get a number, and say nothing until they are taken back.
+        """
         graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
         values = Values() if values is None else values
         keys, self._made = values.keys().tolist(), False
         self._check_new(keys)
         self._add_variables(self.early.enter(graph, values, keys))
         try:
-            staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
+            staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added, let_go)]
             held = self._held(graph.fixed)
         except GraphError:
             self.roll_back()
@@ -123,12 +108,12 @@ class TreeState:
             del self._number[self._keys[number]]
             if number >= self.native.slots:
                 del self._keys[number], self._families[number]
-        self._custom.drop(self._entered)
+        self.staging.custom.drop(self._entered)
         self.early.roll_back()
         self._end_update()
 
     def _commit_names(self) -> None:
-        self._custom.drop(self._removed)
+        self.staging.custom.drop(self._removed)
         self.early.commit()
         self._made = True
         self._end_update()
@@ -147,7 +132,7 @@ class TreeState:
         """Take down the top of the tree, and evaluate the user's own factors in it that have to be linearised."""
         self.native.detach()
         try:
-            for kind, own in self._custom:
+            for kind, own in self.staging.custom:
                 numbers = self.native.stale_factors(kind)
                 if numbers.size:
                     self.native.set_custom(*own.evaluate(numbers, self.native.linearization_point))
@@ -184,8 +169,13 @@ class TreeState:
             return self.native.largest_step() <= threshold
         return not self.pending()
 
-    def marginalize(self, keys: ArrayLike) -> None:
-        """Take variables out of the tree; what their factors said stays as a summary."""
+    def numbers_in_tree(self, keys: ArrayLike) -> Int32s:
+        """Return the numbers of those keys that are in the tree."""
+        known = [self._number.get(key, -1) for key in as_keys(keys).reshape(-1).tolist()]
+        return np.array([number for number in known if number >= 0], dtype=np.int32)
+
+    def marginalize(self, keys: ArrayLike) -> list[int]:
+        """Take variables out of the tree; what their factors said stays as a summary. Returns the factors' numbers."""
         leaving = as_keys(keys).reshape(-1)
         early = [key for key in leaving.tolist() if key in self.early.values]
         numbers = self._numbers(leaving[~np.isin(leaving, early)], lambda: "to be marginalised out")
@@ -194,7 +184,7 @@ class TreeState:
             raise GraphError(f"{key_list(np.array(held))}: held by `fix`; what is known is not marginalised out")
         self.early.drop(early)
         if not numbers.size:
-            return
+            return []
         self.native.leave(numbers)
         self.detach()
         self.native.reorder()
@@ -204,14 +194,15 @@ class TreeState:
             raise UnderconstrainedError(
                 f"key {name}: not determined where it was last linearised; nothing was marginalised out"
             )
-        summarised = self.native.drop_left().tolist()
-        self._custom.drop(summarised)
+        summarised: list[int] = self.native.drop_left().tolist()
+        self.staging.custom.drop(summarised)
         for number in summarised:
             self._switched.pop(number, None)
         for number in numbers.tolist():
             key = self._keys[number]
             self._number.pop(key, None)
             self._left.add(key)
+        return summarised
 
     def pending(self) -> int:
         """Return how many variables wait to be eliminated, else relinearised, else how many branches are deferred."""
@@ -289,73 +280,13 @@ class TreeState:
             raise GraphError(f"{key_list(keys[found < 0])}: {what()}, but without a value; insert one with the factor")
         return found
 
-    def _stage(self, added: Added) -> list[_Staged]:
-        if added.whitening.constrained:
-            added = Added(first=added.first, record=added.record, whitening=stiff(added.whitening))
+    def _stage(self, added: Added, let_go: Mask | None = None) -> list[Staged]:
         scopes = self._numbers(added.record.keys, lambda: f"in {added.name(0)} and what follows it")
-        if len(scopes) == 1:
-            return [self._part(added, scopes, tuple([self._families[v] for v in scopes[0].tolist()]), None)]
-        combinations: dict[tuple[Family, ...], list[int]] = {}
-        for row, scope in enumerate(scopes.tolist()):
-            combinations.setdefault(tuple([self._families[v] for v in scope]), []).append(row)
-        if len(combinations) == 1:  # the usual case: all of them as they are
-            return [self._part(added, scopes, next(iter(combinations)), None)]
-        return [self._part(added, scopes, families, np.array(rows)) for families, rows in combinations.items()]
+        return self.staging.parts(added, scopes, self._families, let_go)
 
-    def _part(
-        self, added: Added, scopes: Int32s, families: tuple[Family, ...], members: NDArray[np.int64] | None
-    ) -> _Staged:
-        """Return those factors of a record that join variables of such families: some rows, or all."""
-        record, noise = added.record, added.whitening
-        data = record.data if isinstance(record, Factor) else ()
-        kind = self._kind(added, families, 0 if members is None else int(members[0]))
-        if members is None:
-            rows = slice(added.first, added.first + len(record))
-            return _Staged(rows, kind, scopes, record.measurement, noise.sqrt_information, data)
-        return _Staged(
-            added.first + members,
-            kind,
-            np.ascontiguousarray(scopes[members]),
-            np.ascontiguousarray(record.measurement[members]),
-            noise.sqrt_information if noise.shared else np.ascontiguousarray(noise.sqrt_information[members]),
-            tuple([item[members] for item in data]),
-        )
-
-    def _kind(self, added: Added, families: tuple[Family, ...], row: int) -> int:
-        record, noise = added.record, added.whitening
-        own = type(record) if isinstance(record, Factor) else None
-        shapes: tuple[tuple[int, ...], ...] = ((record.width,),)
-        if isinstance(record, Factor):
-            shapes = tuple([item.shape[1:] for item in record.data])
-        name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)
-        kind = self._kinds.get(name)
-        if kind is None:
-            fault = record.mismatch(families)
-            if fault is not None:
-                raise GraphError(f"{added.name(row)}: {fault}")
-            kind = self._kinds[name] = self._new_kind(record, families, noise)
-            if own is not None:
-                self._custom.kinds[kind] = CustomKind(own, families)
-        return kind
-
-    def _new_kind(self, record: FactorRecord, families: tuple[Family, ...], noise: Whitening) -> int:
-        kernel = record.kernel
-        return self.native.add_kind(
-            record.type,
-            np.array([family.code for family in families], dtype=np.int32),
-            np.array([family.dof for family in families], dtype=np.int32),
-            record.rows,
-            noise.form,
-            0 if kernel is None else kernel.code,
-            1.0 if kernel is None else float(kernel.width),
-            record.width,
-        )
-
-    def _add_factors(self, part: _Staged) -> Int32s:
-        numbers = self.native.add_factors(
-            part.kind, part.scopes.reshape(-1), part.measurement.reshape(-1), part.sqrt_information.reshape(-1)
-        )
-        self._entered += self._custom.enter(part.kind, numbers, part.scopes, part.data)
+    def _add_factors(self, part: Staged) -> Int32s:
+        numbers, entered = self.staging.hand_over(part)
+        self._entered += entered
         return numbers
 
     def remove(self, numbers: ArrayLike, leaving: FactorGraph | None = None) -> None:
@@ -383,10 +314,50 @@ class TreeState:
             raise GraphError(f"factors {key_list(array)}: not all of them are in the smoother; nothing was switched")
         self._switched.update(dict.fromkeys(array.tolist(), 1.0 if on else 0.0))
 
+    def let_go(self, numbers: Int32s) -> None:
+        """Let factors keep their numbers and say nothing, from the next pass on."""
+        if numbers.size:
+            self.native.let_go(numbers)
+
+    def take_back(self, numbers: Int32s) -> None:
+        """Let factors that were let go speak again, from the next pass on."""
+        if numbers.size:
+            self.native.take_back(numbers)
+
+    def weigh(self, numbers: Int32s, weights: Array) -> None:
+        """Weigh factors, from the next pass on."""
+        if numbers.size:
+            self.native.weigh_factors(numbers, weights)
+
+    def restore(self, saved: bytes) -> None:
+        """Put the tree back to what `native.save` said, of the same variables and factors."""
+        self.native = self.staging.native = _core.BayesTree()
+        self.native.load(saved)
+
+    def scope_of(self, number: int) -> Keys:
+        """Return the keys of the variables that a built-in factor joins."""
+        if not self.native.has_factors(np.array([number], dtype=np.int32)):
+            raise GraphError(f"factor {number}: not in the smoother")
+        return self.key_of(self.native.factor_data(number)[0])
+
+    def in_tree(self, key: int) -> bool:
+        """Return whether a variable has been brought into the tree."""
+        return key in self._number
+
+    def family_of(self, number: int) -> Family:
+        """Return the family of one of the native side's variables."""
+        return self._families[number]
+
+    def pose(self, number: int, ops: ModuleType) -> Array:
+        """Return the estimate of one of the native side's variables as a pose of `se2` or `se3`."""
+        family = self._families[number]
+        value = family.elements(self.native.estimate(np.array([number], dtype=np.int32)).reshape(1, -1))[0]
+        return value if ops is se2 else np.asarray(se3.from_rotation_translation(value[:3, :3], value[:3, 3]))
+
     def cost(self) -> float:
-        """Return the cost of all factors at the estimate."""
+        """Return the cost of all factors at the estimate, but those that were let go."""
         self.native.finish_steps()
-        for _, own in self._custom:
+        for _, own in self.staging.custom:
             numbers = np.array(sorted(own.scopes), dtype=np.int32)
             if numbers.size:
                 self.native.set_custom(*own.evaluate(numbers, self.native.estimate))
@@ -450,7 +421,7 @@ class TreeState:
 
     def custom_classes(self) -> tuple[type[Factor], ...]:
         """Return the classes of the user's own factors, each once."""
-        return self._custom.classes()
+        return self.staging.custom.classes()
 
     def key_of(self, numbers: Int32s) -> NDArray[np.int64]:
         """Return the keys of the native side's variables."""
@@ -481,8 +452,3 @@ class TreeState:
         for family in self.early.values.families():
             values.insert(*self.early.values.block(family))
         return values
-
-
-def stiff(whitening: Whitening) -> Whitening:
-    """Return the noise that stands for a hard constraint in the tree, see `CONSTRAINT_SIGMA`."""
-    return replace(whitening, sqrt_information=whitening.sqrt_information / CONSTRAINT_SIGMA, constrained=False)

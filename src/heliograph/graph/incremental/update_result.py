@@ -16,6 +16,10 @@ __all__ = ["PassTally", "UpdateResult"]
 Int32s = NDArray[np.int32]
 
 
+def _none() -> Int32s:
+    return np.zeros(0, dtype=np.int32)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UpdateResult:
     """What one update did.
@@ -48,10 +52,13 @@ class UpdateResult:
         variables to be relinearised, else `deferred`.
     deferred : int
         Branches of the tree whose steps are deferred, see `ISAM2Settings.max_steps`.
+    let_go, taken_back : (K,), (L,) int32
+        Numbers of the doubtful factors that this update has let go, its own among them, and of such as were let go
+        before and count again; see `OutlierRejection`.
     cost_before, cost_after : float or None
         Cost of all factors, where asked for: before, at the old estimate and the new variables' start.
     seconds : dict
-        By step: ``add``, ``relinearize``, ``detach``, ``reorder``, ``eliminate``, ``solve``.
+        By step: ``add``, ``relinearize``, ``detach``, ``reorder``, ``eliminate``, ``solve``; ``outliers``: their tests.
     """
 
     factors: Int32s
@@ -65,6 +72,8 @@ class UpdateResult:
     converged: bool
     pending: int = 0
     deferred: int = 0
+    let_go: Int32s = field(default_factory=_none)
+    taken_back: Int32s = field(default_factory=_none)
     cost_before: float | None = None
     cost_after: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
@@ -114,6 +123,8 @@ class PassTally:
         self,
         *,
         factors: Int32s,
+        let_go: Int32s,
+        taken_back: Int32s,
         converged: bool,
         pending: int,
         deferred: int,
@@ -130,6 +141,8 @@ class PassTally:
             iterations=self.iterations,
             seconds=self.seconds,
             factors=factors,
+            let_go=let_go,
+            taken_back=taken_back,
             settled=not pending,
             converged=converged,
             pending=pending,
