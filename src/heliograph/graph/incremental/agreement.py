@@ -78,7 +78,7 @@ def squared_disagreement(state: TreeState, one: Loop, other: Loop) -> float:
     state : TreeState
         Poses and covariances of the ends; only those of one end relative to the other count.
     one, other : Loop
-        Of the same space.
+        Both of the same space.
     """
     ops = one.ops
     T_there, P_there = _relative(state, one.first, other.first, ops)

@@ -27,12 +27,11 @@ from heliograph import _core
 from heliograph.arrays import Array, Mask
 from heliograph.chi_square import chi_square_quantile
 from heliograph.errors import GraphError, UnderconstrainedError
-from heliograph.graph.batch.gnc import trusted_factors
-from heliograph.graph.batch.gnc_rounds import geman_mcclure_weight
 from heliograph.graph.incremental.agreement import Loop, loop_of, squared_disagreement
 from heliograph.graph.incremental.settings import OutlierRejection
 from heliograph.graph.incremental.tree_state import TreeState
 from heliograph.graph.model.factor_graph import FactorGraph
+from heliograph.graph.model.outliers import geman_mcclure_weight, trusted_factors
 
 __all__ = ["Rejection", "doubtful_factors"]
 

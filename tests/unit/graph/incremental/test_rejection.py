@@ -19,9 +19,9 @@ from heliograph.graph import (
     Prior,
     Values,
 )
-from heliograph.graph.batch.gnc_rounds import geman_mcclure_weight
 from heliograph.graph.files import worlds
 from heliograph.graph.incremental.replay import replay, replay_steps
+from heliograph.graph.model.outliers import geman_mcclure_weight
 from heliograph.graph.problem.problem import Problem
 from heliograph.lie import SE2, SE3, ExtendedPose
 
