@@ -7,6 +7,7 @@ by each method. chi2 is that of the true factors alone, relative to the clean gr
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -75,9 +76,12 @@ def _world(file: PoseGraphFile) -> World:
     return World(truth=truth, i=i[order], j=j[order], T_i_j=T[order], information=table.information[order], false=false)
 
 
-def _replayed(file: PoseGraphFile, method: str) -> Replay:
+def _replayed(file: PoseGraphFile, method: str) -> tuple[Replay, float]:
+    """Return a replay, and the CPU time that it took [s]."""
     steps = list(replay_steps(file.graph(kernel=METHODS[method]), file.odometry_values()))
-    return replay(steps, ISAM2(outliers=OutlierRejection() if method == "gnc" else None))
+    began = time.process_time()
+    done = replay(steps, ISAM2(outliers=OutlierRejection() if method == "gnc" else None))
+    return done, time.process_time() - began
 
 
 def _let_go(world: World, smoother: ISAM2) -> tuple[int, int]:
@@ -104,7 +108,7 @@ def measure_outliers(folder: Path, *, seeds: range, fraction: float = 0.3) -> It
         graph = clean.graph()
         best: float | None = None
         for method in METHODS:
-            done = _replayed(clean if method == "clean" else world.file, method)
+            done, cpu = _replayed(clean if method == "clean" else world.file, method)
             found = done.smoother.estimate()
             if best is None:
                 best = solve(graph, found).chi2
@@ -118,7 +122,7 @@ def measure_outliers(folder: Path, *, seeds: range, fraction: float = 0.3) -> It
                 "chi2_ratio": Problem(graph, found).cost().chi2 / best,
                 "ate_m": _error(world, found),
                 **dict(zip(("true_let_go", "false_kept"), _let_go(world, done.smoother), strict=True)),
-                "total_ms": 1e3 * float(np.sum(done.seconds)),
+                "cpu_ms": 1e3 * cpu,
                 "p50_ms": 1e3 * float(np.median(done.seconds)),
                 "p99_ms": 1e3 * float(np.quantile(done.seconds, 0.99)),
             }
@@ -137,7 +141,7 @@ def outliers_section(rows: list[dict[str, Any]], table: Any) -> str:  # noqa: AN
         for method in METHODS:
             mine = [row for row in rows if (row["graph"], row["method"]) == (name, method)]
             chi2 = [row["chi2_ratio"] for row in mine]
-            times = [row["total_ms"] / clean[row["seed"]]["total_ms"] for row in mine]
+            times = [row["cpu_ms"] / clean[row["seed"]]["cpu_ms"] for row in mine]
             gnc = method == "gnc"
             body.append(
                 [
@@ -174,6 +178,6 @@ def outliers_section(rows: list[dict[str, Any]], table: Any) -> str:  # noqa: AN
         + f"\n{seeds} seeds a graph; three false loops for ten true ones, between random poses. One pose at a time, no "
         "batch solve. chi2: of the true factors, in units of the batch optimum without false loops. `clean` is iSAM2 "
         "without them, `gnc` is `ISAM2(outliers=OutlierRejection())`, the others are kernels on every relative pose. "
-        "ATE: to the truth, of public graphs to the optimum without false loops. Time: of all updates, in units of "
-        "clean's.\n"
+        "ATE: to the truth, of public graphs to the optimum without false loops. Time: CPU of all updates, in units of "
+        "clean's; an update's by the clock.\n"
     )

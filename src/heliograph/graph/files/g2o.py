@@ -32,8 +32,9 @@ _SPACED = re.compile(rb"(?m)^([ \t]*(?:VERTEX|EDGE)_SE3)[ \t]*:[ \t]*QUAT(?=[ \t
 # and leaves such links out of its files; it measures `R_pitch R_roll (-up_body) - gravity_world`, what descends from it
 # `R' world - body`.
 _UNSETTLED = {
-    "EDGE_SE3_GRAVITY": ": its numbers mean one thing in one program and another in the next; write EDGE_SE3_PRIORVEC, "
-    "the id, a direction of the world, the same as the body sees it, and the information; or pass over it (--skip-unknown)",
+    "EDGE_SE3_GRAVITY": ": its numbers mean one thing in one program and another in the next; write "
+    "EDGE_SE3_PRIORVEC, the id, a direction of the world, the same as the body sees it, and the information; or pass "
+    "over it (--skip-unknown)",
 }
 _NEAR = 0.85  # likeness of an unknown tag and a known one from which one is suggested for the other
 
