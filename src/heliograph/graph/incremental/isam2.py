@@ -27,6 +27,8 @@ from heliograph.graph.model.values import Values
 
 __all__ = ["ISAM2"]
 
+FEW_MOVED = 16  # variables: an update that moved no more, such as a step of odometry, contradicts no loop
+
 
 class ISAM2:
     """A graph that grows, solved as it grows (Kaess et al., IJRR 2012).
@@ -115,6 +117,8 @@ class ISAM2:
         remove = self._with_let_go(remove, remove_variables)
         leaving = state.leaving(remove_variables, remove, graph)
         doubtful = self._doubtful(graph, trusted)
+        if self._rejection is not None and (np.size(remove) or state.switching):
+            self._rejection.look_again()  # what contradicted a loop may be what goes
         added = state.add(graph, values, doubtful)  # (1) new variables and factors, and factors that leave
         state.remove(remove, leaving)
         before = state.cost() if costs else None
@@ -179,7 +183,7 @@ class ISAM2:
         self._rejection.forget(removed)
         if graph is not None and doubtful is not None:
             self._rejection.enter(self._state, graph, doubtful, added)
-        elif iterate is None and graph is not None:
+        elif iterate is None and tally.solved <= FEW_MOVED and self._rejection.since:
             return none, none
 
         def again() -> None:

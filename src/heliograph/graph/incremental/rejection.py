@@ -145,6 +145,11 @@ class Rejection:
             for name in _COLUMNS:
                 setattr(self, name, getattr(self, name)[kept])
 
+    def look_again(self) -> None:
+        """Have all that is let go looked at again, moved or not."""
+        self.since = 0
+        self.tested[~self.active] = ALWAYS
+
     def let_go_at(self, variables: Int32s) -> Int32s:
         """Return those that are let go and touch variables."""
         return np.asarray(self.numbers[~self.active & np.isin(self.ends, variables).any(axis=1)])

@@ -354,6 +354,11 @@ class TreeState:
         value = family.elements(self.native.estimate(np.array([number], dtype=np.int32)).reshape(1, -1))[0]
         return value if ops is se2 else np.asarray(se3.from_rotation_translation(value[:3, :3], value[:3, 3]))
 
+    @property
+    def switching(self) -> bool:
+        """The next update switches factors on or off."""
+        return bool(self._switched)
+
     def cost(self) -> float:
         """Return the cost of all factors at the estimate, but those that were let go."""
         self.native.finish_steps()
