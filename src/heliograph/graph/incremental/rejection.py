@@ -3,8 +3,9 @@
 What is minimised is the truncated cost: a doubtful factor costs its squared residual, or the threshold where it is let
 go. One factor at a time that minimum is known: it is taken in where its squared innovation is below the threshold [1]_,
 and let go where what the others say is farther from it [2]_. Where several that were let go agree with each other, an
-earlier decision may have been wrong: they are taken in together, and all doubtful factors are weighed again by a
-Geman-McClure surrogate that begins convex [3]_ [4]_. That is kept only if the truncated cost has fallen.
+earlier decision may have been wrong: they are heard before those that bent the estimate, and else all doubtful factors
+are weighed again by a Geman-McClure surrogate that begins convex [3]_ [4]_. Either is kept only if the truncated cost
+has fallen.
 
 References
 ----------
@@ -44,7 +45,7 @@ APART = 30  # variables, at most, between the ends of loops that may bear each o
 COMPARED = 12  # loops, at most, that a new one is compared with
 NEAR = 4.0  # thresholds: what misses by no more is looked at whenever it has moved
 ALWAYS = 1e300
-_COLUMNS = ("numbers", "rows", "widest", "ends", "active", "tested", "tried")
+_COLUMNS = ("numbers", "rows", "widest", "ends", "active", "tested", "bent", "tried")
 
 MATERIAL = 0.02  # change of a weight that is worth an elimination
 
@@ -115,6 +116,7 @@ class Rejection:
         self.ends: Int32s = np.zeros((0, 2), dtype=np.int32)  # lowest and highest variable
         self.active: Mask = np.zeros(0, dtype=bool)
         self.tested: Array = np.zeros(0)  # squared residual at which its innovation may pass; infinite: not looked at
+        self.bent: Mask = np.zeros(0, dtype=bool)  # its residual was beyond the threshold when it was taken in
         self.tried: Int32s = np.zeros(0, dtype=np.int32)  # loops that were decided anew with it, in vain
         self.since = 0  # solve at which residuals were last looked at
         self.scale = 1.0
@@ -135,6 +137,7 @@ class Rejection:
         count = len(numbers)
         self.active = np.concatenate([self.active, np.zeros(count, dtype=bool)])
         self.tested = np.concatenate([self.tested, np.full(count, np.inf)])
+        self.bent = np.concatenate([self.bent, np.zeros(count, dtype=bool)])
         self.tried = np.concatenate([self.tried, np.ones(count, dtype=np.int32)])
 
     def forget(self, numbers: ArrayLike) -> None:
@@ -227,6 +230,7 @@ class Rejection:
         joining = ~self.active[members] & (found <= bounds[members])
         ratio = left[joining] / np.maximum(found[joining], 1e-300)
         self.tested[members[joining]] = bounds[members[joining]] * np.maximum(ratio, SUSPECT)
+        self.bent[members[joining]] = squared[members[joining]] > bounds[members[joining]]
         return np.asarray(found)
 
     def _switch(self, state: TreeState, back: NDArray[np.intp], gone: NDArray[np.intp]) -> None:
@@ -256,22 +260,43 @@ class Rejection:
         return other is not None and other.ops is loop.ops and squared_disagreement(state, loop, other) <= bound
 
     def _decide_anew(self, state: TreeState, cluster: NDArray[np.intp], again: Pass) -> bool:
-        """Take a cluster in and weigh all doubtful factors from convex to sharp; return whether that was better."""
+        """Hear a cluster against what contradicts it, in either way; return whether one was better."""
         before, saved, active = self._truncated_cost(state), state.native.save(), self.active.copy()
-        try:
-            self._switch(state, cluster, cluster[:0])
-            again()
-            self._anneal(state, again)
-            self._rounds(state, again)
-            better = self._truncated_cost(state) < before
-        except UnderconstrainedError:
-            better = False
-        if not better:
+        for hear in (self._hear_first, self._hear_together):
+            try:
+                hear(state, cluster, again)
+                self._rounds(state, again)
+                self._come_to_rest(state, again)
+                better = self._truncated_cost(state) < before
+            except UnderconstrainedError:
+                better = False
+            if better:
+                break
             state.restore(saved)
-            self.active = active
+            self.active = active.copy()
+        if not better:
             self.tried[cluster] = len(cluster)
         self.since = state.native.solves
         return better
+
+    def _hear_first(self, state: TreeState, cluster: NDArray[np.intp], again: Pass) -> None:
+        """Have loops that once bent the estimate step back until the cluster has been heard."""
+        bent = np.flatnonzero(self.active & self.bent)
+        self._switch(state, cluster[:0], bent)
+        self.tested[bent] = ALWAYS
+        again()
+        self._come_to_rest(state, again)
+        innovations = np.asarray(state.native.innovations(self.numbers[cluster])).reshape(-1, 2)[:, 0]
+        self._switch(state, cluster[innovations <= self.bounds[cluster]], cluster[:0])
+        again()
+        self._come_to_rest(state, again)
+
+    def _hear_together(self, state: TreeState, cluster: NDArray[np.intp], again: Pass) -> None:
+        """Weigh all doubtful factors, the cluster among them, from convex to sharp."""
+        self._switch(state, cluster, cluster[:0])
+        again()
+        self._come_to_rest(state, again)
+        self._anneal(state, again)
 
     def _anneal(self, state: TreeState, again: Pass) -> None:
         tree, bounds = state.native, self.bounds
@@ -288,11 +313,20 @@ class Rejection:
                 weights[changed] = wanted[changed]
                 state.weigh(numbers[changed], weights[changed])
                 again()
+                self._come_to_rest(state, again)
         gone = np.asarray(tree.squared(numbers, 0)) > bounds[members]
         unequal = (weights != 1.0) & ~gone
         state.weigh(numbers[weights != 1.0], np.ones(int((weights != 1.0).sum())))
         self._switch(state, members[:0], members[gone])
         if gone.any() or unequal.any():
+            again()
+            self._come_to_rest(state, again)
+
+    def _come_to_rest(self, state: TreeState, again: Pass) -> None:
+        """Make passes until no variable is far from where its factors were linearised."""
+        for _ in range(self.settings.max_rounds):
+            if not state.native.fluid:
+                return
             again()
 
     def _truncated_cost(self, state: TreeState) -> float:
