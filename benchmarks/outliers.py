@@ -176,7 +176,7 @@ def outliers_section(rows: list[dict[str, Any]], table: Any) -> str:  # noqa: AN
         + table(head, body)
         + "\nWith the number of seeds; three false loops for ten true ones, between random poses. One pose at a time, "
         "no batch solve. chi2: of the true factors, in units of the batch optimum without false loops. `clean` is "
-        "iSAM2 without them, `gnc` is `ISAM2(outliers=OutlierRejection())`, the others are kernels on every relative pose. "
-        "ATE: to the truth, of public graphs to the optimum without false loops. Time: CPU of all updates, in units of "
-        "clean's; an update's by the clock.\n"
+        "iSAM2 without them, `gnc` is `ISAM2(outliers=OutlierRejection())`, the others are kernels on every relative "
+        "pose. ATE: to the truth, of public graphs to the optimum without false loops. Time: CPU of all updates, in "
+        "units of clean's; an update's by the clock.\n"
     )
