@@ -82,6 +82,27 @@ size_t solve(SharedTree& t, double wildfire, double relinearize, size_t max, siz
   return t.call([&](BayesTree& tree) { return tree.solve({wildfire, relinearize, max, max_deferred}); });
 }
 
+PassReport advance(SharedTree& t, double threshold, size_t relinearize, bool farthest_first, size_t eliminate, double wildfire,
+                   double fluid_threshold, size_t steps, size_t deferred_steps) {
+  const PassLimits limits{threshold, relinearize, farthest_first, eliminate, {wildfire, fluid_threshold, steps, deferred_steps}};
+  return t.call([&](BayesTree& tree) { return tree.advance(limits); });
+}
+
+// Factors of any kinds, each with its own numbers: one call for an update of a few.
+auto add_mixed_factors(SharedTree& t, const std::vector<int32_t>& kinds, const std::vector<std::vector<int32_t>>& scopes,
+                       const std::vector<Doubles>& measurements, const std::vector<Doubles>& roots) {
+  if (scopes.size() != kinds.size() || measurements.size() != kinds.size() || roots.size() != kinds.size())
+    throw std::invalid_argument("one kind, scope, measurement and noise a factor");
+  return to_array(t.call([&](BayesTree& tree) {
+    std::vector<int32_t> numbers;
+    for (size_t i = 0; i < kinds.size(); ++i) {
+      const std::vector<int32_t> added = tree.add_factors(kinds[i], scopes[i], span_of(measurements[i]), span_of(roots[i]));
+      numbers.insert(numbers.end(), added.begin(), added.end());
+    }
+    return numbers;
+  }));
+}
+
 nb::bytes save(SharedTree& t) {
   const std::vector<uint8_t> bytes = t.call([](BayesTree& tree) { return tree.save(); });
   return nb::bytes(reinterpret_cast<const char*>(bytes.data()), bytes.size());
@@ -106,6 +127,11 @@ void bind_records(nb::module_& m) {
       .def_ro("linearized", &TreeCounts::linearized)
       .def_ro("solved", &TreeCounts::solved)
       .def_ro("work", &TreeCounts::work);
+  nb::class_<PassReport>(m, "PassReport")
+      .def_ro("relinearized", &PassReport::relinearized)
+      .def_ro("caught_up", &PassReport::caught_up)
+      .def_ro("undetermined", &PassReport::undetermined)
+      .def_prop_ro("seconds", [](const PassReport& r) { return std::vector<double>(r.seconds.begin(), r.seconds.end()); });
   const auto list = [](std::vector<int32_t> CliqueTable::*member) {
     return [member](const CliqueTable& table) { return to_array(std::vector<int32_t>(table.*member)); };
   };
@@ -136,6 +162,7 @@ void bind_contents(nb::class_<SharedTree>& bound) {
                return tree.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise));
              }));
            }, "kind"_a, "variables"_a.noconvert(), "measurement"_a.noconvert(), "sqrt_information"_a.noconvert())
+      .def("add_mixed_factors", &add_mixed_factors, "kinds"_a, "scopes"_a, "measurements"_a.noconvert(), "roots"_a.noconvert())
       .def("remove_factors", [](SharedTree& t, const Indices& f) {
              t.call([&](BayesTree& tree) { tree.remove_factors(span_of(f)); });
            }, "factors"_a.noconvert())
@@ -165,6 +192,8 @@ void bind_update(nb::class_<SharedTree>& bound) {
       .def("eliminate", [](SharedTree& t, size_t max) {
              return t.call([&](BayesTree& tree) { return tree.eliminate(max); });
            }, "max"_a)
+      .def("advance", &advance, "threshold"_a, "relinearize"_a, "farthest_first"_a, "eliminate"_a, "wildfire"_a,
+           "fluid_threshold"_a, "steps"_a, "deferred_steps"_a)
       .def("undo", [](SharedTree& t) { t.call([](BayesTree& tree) { tree.undo(); }); })
       .def("solve", &solve, "wildfire"_a, "relinearize"_a, "max"_a, "max_deferred"_a)
       .def("finish_steps", [](SharedTree& t) { t.call([](BayesTree& tree) { tree.finish_steps(); }); })
@@ -211,6 +240,7 @@ void bind_answers(nb::class_<SharedTree>& bound) {
       .def_prop_ro("factors", number(&BayesTree::factors))
       .def_prop_ro("waiting", number(&BayesTree::waiting))
       .def_prop_ro("fluid", number(&BayesTree::fluid))
+      .def_prop_ro("longest_fluid", number(&BayesTree::longest_fluid))
       .def_prop_ro("deferred", number(&BayesTree::deferred));
 }
 

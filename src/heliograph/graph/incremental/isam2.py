@@ -106,21 +106,11 @@ class ISAM2:
         added = state.add(graph, values)  # (1) new variables and factors, and factors that leave
         state.remove(remove, leaving)
         before = state.cost() if costs else None
-        tally.lap("add")
+        tally.brought()
         exact = iterate is not None or (graph is None and values is None and max_variables is None)
         for budget in self._budgets(tally, exact, iterate, max_iterations, max_variables):
-            relinearized = state.relinearize(budget)  # (2) long steps go into the linearisation points
-            tally.lap("relinearize")
-            state.detach()  # (3) the top of the tree is taken down
-            tally.lap("detach")
-            state.reorder()  # (4) constrained ordering: the newest last
-            tally.lap("reorder")
-            state.eliminate(budget, graph, values)  # (5) elimination, and (6) orphans are hung below
-            tally.lap("eliminate")
-            caught_up = state.solve(budget)  # (7) wildfire
-            tally.lap("solve")
+            relinearized, caught_up = state.advance(budget, tally, graph, values)  # (2) to (7)
             policy.spend(budget, relinearized, caught_up)
-            tally.add(relinearized, state.native.counts())
         policy.end_update()
         if leaving is not None:
             self.marginalize(remove_variables)
@@ -152,10 +142,8 @@ class ISAM2:
         state = self._state
         if state.native.waiting:
             budget = self._policy.budget(state.native)
-            state.detach()
-            state.reorder()
-            state.eliminate(budget, None, None)
-            self._policy.spend(budget, 0, state.solve(budget))
+            _, caught_up = state.advance(budget._replace(relinearize=0), PassTally(), None, None)
+            self._policy.spend(budget, 0, caught_up)
         state.native.finish_steps()
 
     def marginalize(self, keys: ArrayLike) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +15,7 @@ from heliograph.arrays import freeze
 __all__ = ["PassTally", "UpdateResult"]
 
 Int32s = NDArray[np.int32]
+_STEPS = ("relinearize", "detach", "reorder", "eliminate", "solve")  # of a pass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +79,7 @@ class PassTally:
     """What an update has done so far, pass by pass, and the seconds that its steps took."""
 
     __slots__ = (
-        "_last",
+        "_began",
         "cliques",
         "iterations",
         "linearized",
@@ -92,16 +94,17 @@ class PassTally:
         self.iterations = self.relinearized = self.reeliminated = self.cliques = self.linearized = self.solved = 0
         self.work = 0.0  # multiplications of the last elimination
         self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
+        self._began = time.perf_counter()
 
-    def lap(self, step: str) -> None:
-        """Give the time since the last lap to a step."""
-        now = time.perf_counter()
-        self.seconds[step] = self.seconds.get(step, 0.0) + now - self._last
-        self._last = now
+    def brought(self) -> None:
+        """Note that what the update brings has been handed over."""
+        self.seconds["add"] = time.perf_counter() - self._began
 
-    def add(self, relinearized: int, counts: _core.TreeCounts) -> None:
-        """Add a pass."""
+    def add(self, relinearized: int, counts: _core.TreeCounts, seconds: Sequence[float]) -> None:
+        """Add a pass; seconds are those of its steps."""
+        mine = self.seconds
+        for step, took in zip(_STEPS, seconds, strict=True):
+            mine[step] = mine[step] + took if self.iterations else took
         self.iterations += 1
         self.relinearized += relinearized
         self.reeliminated += counts.variables
