@@ -19,6 +19,8 @@ class TreeCovariance {
   std::vector<double> joint(std::span<const int32_t> variables) const;
 
  private:
+  std::vector<double> block(int32_t variable) const;
+
   const TreeStore& store_;
 };
 
