@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT
 #include <nanobind/stl/vector.h>
 
+#include <array>
 #include <mutex>
 
 #include "bindings/bindings.hpp"
+#include "graph/factors/pack.hpp"
 #include "graph/tree/bayes_tree.hpp"
 
 namespace heliograph {
@@ -88,15 +90,49 @@ PassReport advance(SharedTree& t, double threshold, size_t relinearize, bool far
   return t.call([&](BayesTree& tree) { return tree.advance(limits); });
 }
 
-// Factors of any kinds, each with its own numbers: one call for an update of a few.
-auto add_mixed_factors(SharedTree& t, const std::vector<int32_t>& kinds, const std::vector<std::vector<int32_t>>& scopes,
-                       const std::vector<Doubles>& measurements, const std::vector<Doubles>& roots) {
-  if (scopes.size() != kinds.size() || measurements.size() != kinds.size() || roots.size() != kinds.size())
-    throw std::invalid_argument("one kind, scope, measurement and noise a factor");
+constexpr int kMaxStorage = 16;  // doubles of a packed value
+
+// A factor of its own kind, as Python stages it: (..., kind, scope, family of a measurement that is not packed or -1, measurement,
+// square root of information, ...).
+struct SingleFactor {
+  int32_t kind = -1;
+  size_t arity = 0;
+  std::array<int32_t, kMaxArity> scope{};
+  std::array<double, kMaxStorage> packed{};
+  std::span<const double> measurement, root;
+};
+
+void read_single(nb::handle staged, SingleFactor* to) {
+  const auto item = nb::borrow<nb::tuple>(staged);
+  SingleFactor& out = *to;
+  out.kind = nb::cast<int32_t>(item[1]);
+  for (const nb::handle variable : nb::borrow<nb::list>(item[2])) {
+    if (out.arity == out.scope.size()) throw std::invalid_argument("a factor of too many variables");
+    out.scope[out.arity++] = nb::cast<int32_t>(variable);
+  }
+  // The arrays live in the tuples that the caller holds.
+  const int family = nb::cast<int>(item[3]);
+  if (family < 0) {
+    out.measurement = span_of(nb::cast<Doubles>(item[4], false));
+  } else {
+    const auto x = nb::cast<nb::ndarray<const double, nb::device::cpu>>(item[4], false);
+    const auto manifold = static_cast<Manifold>(family);
+    const int storage = storage_of(manifold, 0);
+    if (manifold == Manifold::vector || x.ndim() == 0 || storage > kMaxStorage) throw std::invalid_argument("not a single value");
+    pack_single(manifold, 0, x.data(), x.stride(0), x.ndim() > 1 ? x.stride(1) : 0, out.packed.data());
+    out.measurement = {out.packed.data(), static_cast<size_t>(storage)};
+  }
+  out.root = span_of(nb::cast<Doubles>(item[5], false));
+}
+
+// Factors of any kinds, one each: a single call for an update of a few. Returns their numbers.
+auto add_single_factors(SharedTree& t, const nb::list& staged) {
+  std::vector<SingleFactor> factors(staged.size());
+  for (size_t i = 0; i < factors.size(); ++i) read_single(staged[i], &factors[i]);
   return to_array(t.call([&](BayesTree& tree) {
     std::vector<int32_t> numbers;
-    for (size_t i = 0; i < kinds.size(); ++i) {
-      const std::vector<int32_t> added = tree.add_factors(kinds[i], scopes[i], span_of(measurements[i]), span_of(roots[i]));
+    for (const SingleFactor& f : factors) {
+      const std::vector<int32_t> added = tree.add_factors(f.kind, {f.scope.data(), f.arity}, f.measurement, f.root);
       numbers.insert(numbers.end(), added.begin(), added.end());
     }
     return numbers;
@@ -162,7 +198,7 @@ void bind_contents(nb::class_<SharedTree>& bound) {
                return tree.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise));
              }));
            }, "kind"_a, "variables"_a.noconvert(), "measurement"_a.noconvert(), "sqrt_information"_a.noconvert())
-      .def("add_mixed_factors", &add_mixed_factors, "kinds"_a, "scopes"_a, "measurements"_a.noconvert(), "roots"_a.noconvert())
+      .def("add_single_factors", &add_single_factors, "staged"_a)
       .def("remove_factors", [](SharedTree& t, const Indices& f) {
              t.call([&](BayesTree& tree) { tree.remove_factors(span_of(f)); });
            }, "factors"_a.noconvert())

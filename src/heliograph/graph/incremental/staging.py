@@ -19,6 +19,7 @@ from heliograph.graph.model.families import Family
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.noise import Whitening
 from heliograph.graph.model.records import FactorRecord
+from heliograph.lie import S2
 
 __all__ = ["FactorStage", "KindName", "Staged", "stiff"]
 
@@ -34,6 +35,7 @@ class Staged(NamedTuple):
     rows: slice | NDArray[np.int64]  # of all new factors, which these are
     kind: int
     scopes: list[int]  # variables of one factor after the other
+    family: int  # of the measurement of a single factor that is not packed yet; -1: it is packed
     measurement: Array
     sqrt_information: Array
     data: tuple[Array, ...]
@@ -94,21 +96,26 @@ class FactorStage:
 
     def _single(self, added: Added, scope: list[int], families: tuple[Family, ...]) -> Staged:
         first, record, noise = added
-        measurement = record.measurement
         if isinstance(record, Factor):
             return self._whole(added, scope, families)
-        name = (record.__class__, noise.form, record.kernel, record.rows, measurement.shape[1], *map(id, families))
+        if record.single is None:
+            measurement, code = record.measurement[0], -1
+            size = len(measurement)
+        else:
+            value, measured = record.single[1], record.measured
+            measurement = value.vector if measured.lie is S2 else value.matrix
+            code, size = measured.code, measured.storage
+        name = (record.__class__, noise.form, record.kernel, record.rows, size, *map(id, families))
         kind = self._known.get(name)
         if kind is None:
             kind = self._known[name] = self._kind(added, families, 0)
-        rows = slice(first, first + 1)
-        return Staged(rows, kind, scope, measurement[0], noise.sqrt_information.reshape(-1), ())
+        return Staged(slice(first, first + 1), kind, scope, code, measurement, noise.sqrt_information[0], ())
 
     def _whole(self, added: Added, scopes: list[int], families: tuple[Family, ...]) -> Staged:
         first, record, noise = added
         data = record.data if isinstance(record, Factor) else ()
         kind, rows = self._kind(added, families, 0), slice(first, first + len(record))
-        return Staged(rows, kind, scopes, record.measurement.reshape(-1), noise.sqrt_information.reshape(-1), data)
+        return Staged(rows, kind, scopes, -1, record.measurement.reshape(-1), noise.sqrt_information.reshape(-1), data)
 
     def _some(self, added: Added, scopes: NDArray[np.int32], families: tuple[Family, ...], mine: NDArray[Any]) -> Staged:
         first, record, noise = added
@@ -118,6 +125,7 @@ class FactorStage:
             first + mine,
             self._kind(added, families, int(mine[0])),
             scopes[mine].reshape(-1).tolist(),
+            -1,
             record.measurement[mine].reshape(-1),
             roots.reshape(-1),
             tuple([item[mine] for item in data]),

@@ -57,7 +57,8 @@ class TreeState:
         """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
         graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
         values = Values() if values is None else values
-        keys, self._made = values.keys().tolist(), False
+        self._made = False
+        keys = [key for mine in values.keys_by_family() for key in mine]
         self._check_new(keys)
         groups = graph.groups()
         named = [added.record.flat_keys() for added in groups]
@@ -77,11 +78,8 @@ class TreeState:
 
     def _enter(self, staged: list[Staged], count: int) -> Int32s:
         """Hand factors over and return their numbers, in the order of the graph's."""
-        if len(staged) == count > 1 and not self._custom.kinds:  # one each, and so in order: what an online graph adds
-            _, kinds, scopes, measurements, roots, _ = zip(*staged, strict=True)
-            return self.native.add_mixed_factors(kinds, scopes, measurements, roots)
-        if len(staged) == 1:
-            return self._add_factors(staged[0])
+        if len(staged) == count and not self._custom.kinds:  # one each, and so in order: what an online graph adds
+            return self.native.add_single_factors(staged)
         numbers = np.zeros(count, dtype=np.int32)
         for part in staged:
             numbers[part.rows] = self._add_factors(part)
@@ -99,17 +97,16 @@ class TreeState:
                 raise GraphError(f"{key_list(np.array(twice))}: has a value already and waits for its first factor")
 
     def _add_variables(self, values: Values) -> None:
-        keys = values.keys().tolist()
-        at = 0
-        for family, packed in zip(values.families(), values.packed(), strict=True):
-            for number in self.native.add_variables(family.code, family.dof, packed.reshape(-1)).tolist():
-                if number == len(self._keys):
-                    self._keys.append(keys[at])
-                    self._families.append(family)
-                self._keys[number] = keys[at]
-                self._number[keys[at]] = number
-                self._fresh.add(number)
-                at += 1
+        keys, families, number = self._keys, self._families, self._number
+        for family, packed, mine in zip(values.families(), values.packed(), values.keys_by_family(), strict=True):
+            added = self.native.add_variables(family.code, family.dof, packed.reshape(-1)).tolist()
+            for variable, key in zip(added, mine, strict=True):
+                if variable == len(keys):
+                    keys.append(key)
+                    families.append(family)
+                keys[variable] = key
+                number[key] = variable
+            self._fresh.update(added)
 
     def roll_back(self) -> None:
         """Undo what the update that is under way has brought: everything is as it was before."""
@@ -337,6 +334,8 @@ class TreeState:
         return f"{key_list(missing)}: {what}, but without a value; insert one with the factor"
 
     def _add_factors(self, part: Staged) -> Int32s:
+        if part.family >= 0:
+            return self.native.add_single_factors([part])
         scopes = np.array(part.scopes, dtype=np.int32)
         numbers = self.native.add_factors(part.kind, scopes, part.measurement, part.sqrt_information)
         self._entered += self._custom.enter(part.kind, numbers, scopes.reshape(len(numbers), -1), part.data)

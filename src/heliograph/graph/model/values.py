@@ -169,6 +169,10 @@ class Values:
             return np.array(self._blocks[0].keys)
         return np.concatenate([block.keys for block in self._blocks]) if self._blocks else np.zeros(0, dtype=np.int64)
 
+    def keys_by_family(self) -> list[list[int]]:
+        """Return the keys of each family, each in the order of insertion."""
+        return [block.keys.tolist() for block in self._blocks]
+
     def counts(self) -> tuple[int, ...]:
         """Return the number of variables of each family."""
         return tuple(block.count for block in self._blocks)
