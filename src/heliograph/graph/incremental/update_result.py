@@ -37,8 +37,8 @@ class UpdateResult:
     solved : int
         Variables whose step was computed.
     iterations : int
-        Passes: one; two where variables moved beyond the threshold and the first was cheap; more only where convergence
-        was asked for.
+        Passes: one; two where a variable moved beyond twice the threshold and the first was cheap; more only where
+        convergence was asked for.
     settled : bool
         Nothing is pending or deferred: no variable is farther than the threshold from where its factors were
         linearised. That bounds no cost: after a loop that bends a long trajectory it may be percents above the optimum.
