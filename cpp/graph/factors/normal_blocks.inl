@@ -145,7 +145,7 @@ constexpr bool tiled() {
   if constexpr (Layout::kDynamic) {
     return false;
   } else {
-    bool whole = Layout::rows() >= kGramRows && Layout::columns() >= 15;
+    bool whole = Layout::rows() >= kGramRows && Layout::columns() >= 12;
     for (int a = 0; a < Layout::arity(); ++a) whole = whole && Layout::dof(a) % kGramRows == 0;
     return whole;
   }

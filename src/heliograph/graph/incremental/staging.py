@@ -98,11 +98,12 @@ class FactorStage:
         first, record, noise = added
         if isinstance(record, Factor):
             return self._whole(added, scope, families)
-        if record.single is None:
+        measured = record.measured
+        if record.single is None or measured is None:
             measurement, code = record.measurement[0], -1
             size = len(measurement)
         else:
-            value, measured = record.single[1], record.measured
+            value = record.single[1]
             measurement = value.vector if measured.lie is S2 else value.matrix
             code, size = measured.code, measured.storage
         name = (record.__class__, noise.form, record.kernel, record.rows, size, *map(id, families))
@@ -117,7 +118,9 @@ class FactorStage:
         kind, rows = self._kind(added, families, 0), slice(first, first + len(record))
         return Staged(rows, kind, scopes, -1, record.measurement.reshape(-1), noise.sqrt_information.reshape(-1), data)
 
-    def _some(self, added: Added, scopes: NDArray[np.int32], families: tuple[Family, ...], mine: NDArray[Any]) -> Staged:
+    def _some(
+        self, added: Added, scopes: NDArray[np.int32], families: tuple[Family, ...], mine: NDArray[Any]
+    ) -> Staged:
         first, record, noise = added
         data = record.data if isinstance(record, Factor) else ()
         roots = noise.sqrt_information if noise.shared else noise.sqrt_information[mine]
