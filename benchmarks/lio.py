@@ -105,7 +105,8 @@ def compare(folder: Path, work: Path, rival: Path, ours: Path, *, runs: int) -> 
     systems = {"heliograph": (ours, "heliograph_lio.py")}
     if rival.exists():
         systems["gtsam"] = (rival, "gtsam_lio.py")
-    alone = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    one = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONPATH": str(_HERE.parent)}  # scripts find the package
+    alone = {**os.environ, **one}
     rows = []
     for name in GRAPHS:
         task = work / f"{name}.npz"
