@@ -69,7 +69,7 @@ def _name(index: int) -> str:
     return f"noise {index}"
 
 
-@functools.lru_cache(maxsize=1024)
+@functools.lru_cache(maxsize=256)
 def _shared(sigmas: tuple[float, ...]) -> Whitening | None:
     """Return the S of one noise from its standard deviations, or None where one of them needs a closer look.
 
@@ -78,10 +78,21 @@ def _shared(sigmas: tuple[float, ...]) -> Whitening | None:
     roots = [1.0 / sigma for sigma in sigmas if _LEAST < sigma < _LARGEST]
     if len(roots) != len(sigmas):
         return None
-    alike = roots.count(roots[0]) == len(roots)
-    numbers = np.array([roots[:1] if alike else roots])
-    numbers.flags.writeable = False
-    return Whitening(form=SCALAR if alike else DIAGONAL, shared=True, sqrt_information=numbers)
+    if roots.count(roots[0]) == len(roots):
+        return _alike(sigmas[0])
+    numbers = np.array([roots])
+    numbers.setflags(False)  # type: ignore[call-arg]
+    return Whitening(form=DIAGONAL, shared=True, sqrt_information=numbers)
+
+
+@functools.lru_cache(maxsize=256)
+def _alike(sigma: float) -> Whitening | None:
+    """Return what `_shared` does for one standard deviation of all rows."""
+    if not _LEAST < sigma < _LARGEST:
+        return None
+    numbers = np.array([[1.0 / sigma]])
+    numbers.setflags(False)  # type: ignore[call-arg]  # by position: three times as quick as by name
+    return Whitening(form=SCALAR, shared=True, sqrt_information=numbers)
 
 
 class Noise:
@@ -245,9 +256,11 @@ class Isotropic(Noise):
         self._numbers = array
         return array
 
+    def ready(self, rows: int) -> Whitening | None:
+        """Return the S that serves all factors, whatever their rows, where no closer look is needed, else None."""
+        return super().ready(rows) if self._sigma is None else _alike(self._sigma)
+
     def _sigmas(self, rows: int) -> tuple[float, ...] | None:  # noqa: ARG002
-        if self._sigma is not None:
-            return (self._sigma,)
         return (self._numbers.item(),) if self.shared else None
 
     def _roots(self, stack: Array, name: Namer) -> Array:
