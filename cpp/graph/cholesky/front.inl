@@ -282,10 +282,17 @@ void add_blocks(const FrontColumns& columns, const BlockView* parts, int64_t cou
     double* to = columns[part.column] + part.row;
     const int64_t ld = columns.distance(part.column);
     const bool row_major = part.transposed != 0;
-    if (part.rows == 3 && part.columns == 3) {
+    const int shape = 16 * part.rows + part.columns;
+    if (shape == 16 * 3 + 3) {
       add_block<3, 3>(to, ld, from, row_major);
-    } else if (part.rows == 6 && part.columns == 6) {
+    } else if (shape == 16 * 6 + 6) {
       add_block<6, 6>(to, ld, from, row_major);
+    } else if (shape == 16 * 9 + 9) {  // extended poses, and their biases
+      add_block<9, 9>(to, ld, from, row_major);
+    } else if (shape == 16 * 9 + 6) {
+      add_block<9, 6>(to, ld, from, row_major);
+    } else if (shape == 16 * 6 + 9) {
+      add_block<6, 9>(to, ld, from, row_major);
     } else {
       const int R = part.rows, C = part.columns;
       for (int c = 0; c < C; ++c)
