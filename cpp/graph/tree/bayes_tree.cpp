@@ -2,6 +2,7 @@
 #include "graph/tree/bayes_tree.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <stdexcept>
 #include <utility>
 
@@ -43,6 +44,28 @@ int32_t BayesTree::eliminate(size_t max) {
   top_.close(std::move(grown.rest));
   steps_.expect(std::move(grown.made), std::move(grown.attached), counts_.variables);
   return -1;
+}
+
+PassReport BayesTree::advance(const PassLimits& limits) {
+  using Clock = std::chrono::steady_clock;
+  PassReport report;
+  auto last = Clock::now();
+  size_t step = 0;
+  const auto lap = [&] {
+    const auto now = Clock::now();
+    report.seconds[step++] = std::chrono::duration<double>(now - std::exchange(last, now)).count();
+  };
+  if (limits.relinearize > 0) report.relinearized = relinearize(limits.threshold, limits.relinearize, limits.farthest_first);
+  lap();
+  detach();
+  lap();
+  reorder();
+  lap();
+  report.undetermined = eliminate(limits.eliminate);
+  lap();
+  if (report.undetermined < 0 && waiting() == 0) report.caught_up = solve(limits.steps);
+  lap();
+  return report;
 }
 
 void BayesTree::undo() {

@@ -6,6 +6,7 @@
 // about its rows, a linear factor at their linearisation point, which is kept from then on. And while an elimination is worked
 // through in slices the tree is open: its finished cliques are a forest, whose roots stand among the orphans.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
 #include <utility>
@@ -22,6 +23,22 @@
 #include "graph/tree/top.hpp"
 
 namespace heliograph {
+
+// What one pass over the tree may do.
+struct PassLimits {
+  double threshold = 0.0;       // as `relinearize` takes them
+  size_t relinearize = 0;       // variables; none is looked for where it is zero
+  bool farthest_first = false;
+  size_t eliminate = 0;         // variables
+  StepLimits steps;
+};
+
+struct PassReport {
+  size_t relinearized = 0;
+  size_t caught_up = 0;        // variables of deferred steps that were computed
+  int32_t undetermined = -1;   // as `eliminate` returns it
+  std::array<double, 5> seconds{};  // relinearize, detach, reorder, eliminate, solve
+};
 
 // The store holds the tree between updates; the journal an update's changes; the top what it took down; the elimination makes
 // its fronts; the steps are carried down; the marginal cuts leaves off. An update is, in this order: add, remove, weigh,
@@ -69,6 +86,8 @@ class BayesTree {
   // open until later calls have done the rest. Returns the variable at which the normal equations are not positive definite
   // (the tree is then as before), or -1.
   int32_t eliminate(size_t max);
+  // All of these and `solve` in one, where no custom factor has to be evaluated between them.
+  PassReport advance(const PassLimits& limits);
   // Undoes everything since the last update ended: the tree is as it was then, to the bit.
   void undo();
   size_t solve(const StepLimits& limits);  // returns how many of the variables solved were deferred before
@@ -87,6 +106,7 @@ class BayesTree {
   size_t factors() const { return store_.factors.count(); }
   size_t waiting() const { return top_.waiting(); }     // variables that are not eliminated yet
   size_t fluid() const { return store_.variables.fluid().size(); }  // candidates for relinearisation
+  double longest_fluid() const { return store_.variables.longest_fluid(); }
   size_t deferred() const { return steps_.deferred(); }  // branches whose steps are old
   bool idle() const { return journal_.idle(); }          // no update is under way
   bool held(int32_t variable) const;

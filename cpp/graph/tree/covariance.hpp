@@ -22,6 +22,8 @@ class TreeCovariance {
   Eigen::MatrixXd projected(std::span<const int32_t> variables, const Eigen::MatrixXd& J) const;
 
  private:
+  std::vector<double> block(int32_t variable) const;
+
   const TreeStore& store_;
 };
 

@@ -97,7 +97,7 @@ def _relative(state: TreeState, i: int, j: int, ops: ModuleType) -> tuple[Array,
     if i == j:
         return np.eye(d if d == 3 else 4), np.zeros((d, d))
     numbers: NDArray[np.int32] = np.array([i, j], dtype=np.int32)
-    T_i, T_j = (state.pose(number, ops) for number in (i, j))
+    T_i, T_j = (_pose(state, number, ops) for number in (i, j))
     T = ops.inverse(T_i) @ T_j
     joint = state.native.joint_covariance(numbers)
     size = int(np.sqrt(joint.size))
@@ -106,3 +106,10 @@ def _relative(state: TreeState, i: int, j: int, ops: ModuleType) -> tuple[Array,
     kept = np.r_[0:d, half : half + d]
     M = np.concatenate([-ops.adjoint(ops.inverse(T)), np.eye(d)], axis=1)
     return T, M @ joint[np.ix_(kept, kept)] @ M.T
+
+
+def _pose(state: TreeState, number: int, ops: ModuleType) -> Array:
+    """Return the estimate of a variable as a pose of `se2` or `se3`."""
+    packed = state.native.estimate(np.array([number], dtype=np.int32))
+    value = state.family_of(number).elements(packed.reshape(1, -1))[0]
+    return value if ops is se2 else np.asarray(se3.from_rotation_translation(value[:3, :3], value[:3, 3]))

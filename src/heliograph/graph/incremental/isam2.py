@@ -122,7 +122,7 @@ class ISAM2:
         added = state.add(graph, values, doubtful)  # (1) new variables and factors, and factors that leave
         state.remove(remove, leaving)
         before = state.cost() if costs else None
-        tally.lap("add")
+        tally.brought()
         exact = iterate is not None or (graph is None and values is None and max_variables is None)
         for budget in self._budgets(tally, exact, iterate, max_iterations, max_variables):
             self._pass(tally, budget, graph, values)
@@ -145,19 +145,8 @@ class ISAM2:
         self, tally: PassTally, budget: Budget, graph: FactorGraph | None = None, values: Values | None = None
     ) -> None:
         """Do the steps (2) to (7) once."""
-        state = self._state
-        relinearized = state.relinearize(budget)  # (2) long steps go into the linearisation points
-        tally.lap("relinearize")
-        state.detach()  # (3) the top of the tree is taken down
-        tally.lap("detach")
-        state.reorder()  # (4) constrained ordering: the newest last
-        tally.lap("reorder")
-        state.eliminate(budget, graph, values)  # (5) elimination, and (6) orphans are hung below
-        tally.lap("eliminate")
-        caught_up = state.solve(budget)  # (7) wildfire
-        tally.lap("solve")
+        relinearized, caught_up = self._state.advance(budget, tally, graph, values)
         self._policy.spend(budget, relinearized, caught_up)
-        tally.add(relinearized, state.native.counts())
 
     def _doubtful(self, graph: FactorGraph | None, trusted: ArrayLike | None) -> Mask | None:
         if self._rejection is None:
@@ -180,6 +169,7 @@ class ISAM2:
         none: NDArray[np.int32] = np.zeros(0, dtype=np.int32)
         if self._rejection is None:
             return none, none
+        tally.begin_tests()
         self._rejection.forget(removed)
         if graph is not None and doubtful is not None:
             self._rejection.enter(self._state, graph, doubtful, added)
@@ -191,7 +181,7 @@ class ISAM2:
                 self._pass(tally, budget)
 
         found = self._rejection.settle(self._state, again)
-        tally.lap("outliers")
+        tally.end_tests()
         return found
 
     def _with_let_go(self, remove: ArrayLike, variables: ArrayLike) -> ArrayLike:
@@ -220,10 +210,8 @@ class ISAM2:
         state = self._state
         if state.native.waiting:
             budget = self._policy.budget(state.native)
-            state.detach()
-            state.reorder()
-            state.eliminate(budget, None, None)
-            self._policy.spend(budget, 0, state.solve(budget))
+            _, caught_up = state.advance(budget._replace(relinearize=0), PassTally(), None, None)
+            self._policy.spend(budget, 0, caught_up)
         state.native.finish_steps()
 
     def marginalize(self, keys: ArrayLike) -> None:

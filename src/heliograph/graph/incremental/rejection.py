@@ -235,8 +235,8 @@ class Rejection:
 
     def _switch(self, state: TreeState, back: NDArray[np.intp], gone: NDArray[np.intp]) -> None:
         """Take factors back, and let others go, with the next pass."""
-        state.take_back(self.numbers[back])
-        state.let_go(self.numbers[gone])
+        state.native.take_back(self.numbers[back])
+        state.native.let_go(self.numbers[gone])
         self.active[back], self.active[gone] = True, False
 
     def _borne_out(self, state: TreeState, index: int) -> NDArray[np.intp] | None:
@@ -311,12 +311,12 @@ class Rejection:
                 break
             if changed.any():
                 weights[changed] = wanted[changed]
-                state.weigh(numbers[changed], weights[changed])
+                tree.weigh_factors(numbers[changed], weights[changed])
                 again()
                 self._come_to_rest(state, again)
         gone = np.asarray(tree.squared(numbers, 0)) > bounds[members]
         unequal = (weights != 1.0) & ~gone
-        state.weigh(numbers[weights != 1.0], np.ones(int((weights != 1.0).sum())))
+        tree.weigh_factors(numbers[weights != 1.0], np.ones(int((weights != 1.0).sum())))
         self._switch(state, members[:0], members[gone])
         if gone.any() or unequal.any():
             again()

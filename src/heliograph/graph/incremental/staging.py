@@ -1,10 +1,9 @@
-"""Factors made ready for the native tree: sorted by kind, checked against the families of their variables."""
+"""New factors of an incremental smoother, sorted into the kinds that its tree knows."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +19,12 @@ from heliograph.graph.model.families import Family
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.noise import Whitening
 from heliograph.graph.model.records import FactorRecord
+from heliograph.lie import S2
 
-__all__ = ["KindName", "Staged", "Staging", "stiff"]
+__all__ = ["FactorStage", "KindName", "Staged", "stiff"]
 
 Int32s = NDArray[np.int32]
+
 # What tells kinds of factors apart: type, own class, families, form of noise, kernel, rows, shapes of what is measured.
 KindName: TypeAlias = tuple[
     int, type[Factor] | None, tuple[Family, ...], int, Kernel | None, int, tuple[tuple[int, ...], ...]
@@ -35,88 +36,127 @@ class Staged(NamedTuple):
 
     rows: slice | NDArray[np.int64]  # of all new factors, which these are
     kind: int
-    scopes: Int32s
+    scopes: list[int]  # variables of one factor after the other
+    family: int  # of the measurement of a single factor that is not packed yet; -1: it is packed
     measurement: Array
     sqrt_information: Array
     data: tuple[Array, ...]
     let_go: bool  # they get a number and say nothing
 
 
-class Staging:
-    """The kinds of factors that the native tree knows, by what tells them apart, and the user's own among them.
+class FactorStage:
+    """The kinds of factors that the native tree knows; it is told of a kind when the first of its factors comes.
+
+    Parameters
+    ----------
+    native : native Bayes tree
+        Numbers the kinds, and takes the factors.
+    families : list of Family
+        By variable; the tree's state adds to it.
 
     Attributes
     ----------
     native : native Bayes tree
-        That factors are handed to.
+        As given; a tree of the same kinds may take its place.
     kinds : dict
-        Numbers of the kinds.
+        Numbers of the kinds, by what tells them apart.
     custom : CustomFactors
         The user's own.
     """
 
-    def __init__(self, native: _core.BayesTree) -> None:
-        self.native = native
+    __slots__ = ("_families", "_known", "custom", "kinds", "native")
+
+    def __init__(self, native: _core.BayesTree, families: list[Family]) -> None:
+        self.native, self._families = native, families
         self.kinds: dict[KindName, int] = {}
         self.custom = CustomFactors()
+        # Kinds of built-in factors by what is looked up faster than their names: classes and families are made once.
+        self._known: dict[tuple[Any, ...], int] = {}
 
-    def parts(
-        self, added: Added, scopes: Int32s, families_of: Sequence[Family], let_go: Mask | None = None
-    ) -> list[Staged]:
-        """Return a record's factors, each part of one kind.
+    def parts(self, added: Added, numbers: list[int], let_go: Mask | None = None) -> list[Staged]:
+        """Return the factors of a record by kind.
 
         Parameters
         ----------
         added : Added
-            The record.
-        scopes : (N, arity) int32
-            Numbers of its variables.
-        families_of : sequence of Family
-            By number of the variable.
+            The record as it stands in its graph.
+        numbers : list of int
+            Its variables, one factor after the other.
         let_go : (M,) bool, optional
             By number of the factor in its graph: those that come without a say.
+
+        Raises
+        ------
+        GraphError
+            The variables are not of families that the factor takes.
         """
         if added.whitening.constrained:
             added = Added(first=added.first, record=added.record, whitening=stiff(added.whitening))
-        silent = None if let_go is None else let_go[added.first : added.first + len(scopes)]
-        if silent is not None and not silent.any():
-            silent = None
-        if len(scopes) == 1:
-            families = tuple([families_of[v] for v in scopes[0].tolist()])
-            return [self._part(added, scopes, families, None, silent is not None)]
+        families, arity = self._families, added.record.arity
+        count = len(numbers) // arity
+        silent = None if let_go is None else let_go[added.first : added.first + count].tolist()
+        if count == 1:
+            return [
+                self._single(added, numbers, tuple([families[v] for v in numbers]), silent is not None and silent[0])
+            ]
         combinations: dict[tuple[tuple[Family, ...], bool], list[int]] = {}
-        for row, scope in enumerate(scopes.tolist()):
-            name = (tuple([families_of[v] for v in scope]), silent is not None and bool(silent[row]))
+        for row in range(count):
+            scope = numbers[row * arity : (row + 1) * arity]
+            name = (tuple([families[v] for v in scope]), silent is not None and silent[row])
             combinations.setdefault(name, []).append(row)
         if len(combinations) == 1:  # the usual case: all of them as they are
-            return [self._part(added, scopes, *_with_all(next(iter(combinations))))]
-        return [
-            self._part(added, scopes, families, np.array(rows), quiet)
-            for (families, quiet), rows in combinations.items()
-        ]
+            return [self._whole(added, numbers, *next(iter(combinations)))]
+        scopes = np.array(numbers, dtype=np.int32).reshape(-1, arity)
+        return [self._some(added, scopes, np.array(rows), *name) for name, rows in combinations.items()]
 
-    def _part(
-        self,
-        added: Added,
-        scopes: Int32s,
-        families: tuple[Family, ...],
-        members: NDArray[np.int64] | None,
-        let_go: bool,
-    ) -> Staged:
-        """Return those factors of a record that join variables of such families: some rows, or all."""
-        record, noise = added.record, added.whitening
+    def hand_over(self, part: Staged) -> tuple[Int32s, list[int]]:
+        """Give a part to the tree; return the numbers of its factors, and those of the user's own among them."""
+        if part.family >= 0:
+            return self.native.add_single_factors([part]), []
+        scopes = np.array(part.scopes, dtype=np.int32)
+        numbers = self.native.add_factors(part.kind, scopes, part.measurement, part.sqrt_information, part.let_go)
+        return numbers, self.custom.enter(part.kind, numbers, scopes.reshape(len(numbers), -1), part.data)
+
+    def _single(self, added: Added, scope: list[int], families: tuple[Family, ...], let_go: bool) -> Staged:
+        first, record, noise = added
+        if isinstance(record, Factor):
+            return self._whole(added, scope, families, let_go)
+        measured = record.measured
+        if record.single is None or measured is None:
+            measurement, code = record.measurement[0], -1
+            size = len(measurement)
+        else:
+            value = record.single[1]
+            measurement = value.vector if measured.lie is S2 else value.matrix
+            code, size = measured.code, measured.storage
+        name = (record.__class__, noise.form, record.kernel, record.rows, size, *map(id, families))
+        kind = self._known.get(name)
+        if kind is None:
+            kind = self._known[name] = self._kind(added, families, 0)
+        root = noise.sqrt_information[0]
+        return Staged(slice(first, first + 1), kind, scope, code, measurement, root, (), let_go)
+
+    def _whole(self, added: Added, scopes: list[int], families: tuple[Family, ...], let_go: bool) -> Staged:
+        first, record, noise = added
         data = record.data if isinstance(record, Factor) else ()
-        kind = self._kind(added, families, 0 if members is None else int(members[0]))
-        if members is None:
-            rows = slice(added.first, added.first + len(record))
-            return Staged(rows, kind, scopes, record.measurement, noise.sqrt_information, data, let_go)
+        kind, rows = self._kind(added, families, 0), slice(first, first + len(record))
+        measurement, roots = record.measurement.reshape(-1), noise.sqrt_information.reshape(-1)
+        return Staged(rows, kind, scopes, -1, measurement, roots, data, let_go)
+
+    def _some(
+        self, added: Added, scopes: Int32s, mine: NDArray[Any], families: tuple[Family, ...], let_go: bool
+    ) -> Staged:
+        first, record, noise = added
+        data = record.data if isinstance(record, Factor) else ()
+        roots = noise.sqrt_information if noise.shared else noise.sqrt_information[mine]
         return Staged(
-            added.first + members,
-            kind,
-            np.ascontiguousarray(scopes[members]),
-            np.ascontiguousarray(record.measurement[members]),
-            noise.sqrt_information if noise.shared else np.ascontiguousarray(noise.sqrt_information[members]),
-            tuple([item[members] for item in data]),
+            first + mine,
+            self._kind(added, families, int(mine[0])),
+            scopes[mine].reshape(-1).tolist(),
+            -1,
+            record.measurement[mine].reshape(-1),
+            roots.reshape(-1),
+            tuple([item[mine] for item in data]),
             let_go,
         )
 
@@ -149,22 +189,6 @@ class Staging:
             1.0 if kernel is None else float(kernel.width),
             record.width,
         )
-
-    def hand_over(self, part: Staged) -> tuple[Int32s, list[int]]:
-        """Give a part to the tree; return the numbers of its factors, and those of the user's own among them."""
-        numbers = self.native.add_factors(
-            part.kind,
-            part.scopes.reshape(-1),
-            part.measurement.reshape(-1),
-            part.sqrt_information.reshape(-1),
-            part.let_go,
-        )
-        return numbers, self.custom.enter(part.kind, numbers, part.scopes, part.data)
-
-
-def _with_all(name: tuple[tuple[Family, ...], bool]) -> tuple[tuple[Family, ...], None, bool]:
-    families, let_go = name
-    return families, None, let_go
 
 
 def stiff(whitening: Whitening) -> Whitening:

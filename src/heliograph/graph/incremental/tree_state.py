@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from types import ModuleType
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +15,8 @@ from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.diagnosis.diagnosis import diagnose
 from heliograph.graph.incremental.budget import UNBOUNDED, Budget
 from heliograph.graph.incremental.early import EarlyVariables
-from heliograph.graph.incremental.staging import Staged, Staging
+from heliograph.graph.incremental.staging import FactorStage, Staged
+from heliograph.graph.incremental.update_result import PassTally
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import Added, FactorGraph
 from heliograph.graph.model.factors import Prior
@@ -24,7 +26,6 @@ from heliograph.graph.model.noise import Isotropic
 from heliograph.graph.model.records import as_keys, key_list
 from heliograph.graph.model.symbols import key_name
 from heliograph.graph.model.values import Values
-from heliograph.lie import se2, se3
 
 __all__ = ["TreeState"]
 
@@ -40,7 +41,7 @@ class TreeState:
         self._keys: list[int] = []  # by variable; numbers of variables that left are given again
         self._families: list[Family] = []
         self._left = KeyRuns()
-        self.staging = Staging(self.native)
+        self.staging = FactorStage(self.native, self._families)
         self.early = EarlyVariables()
         self._switched: dict[int, float] = {}  # weights that the next update brings in
         # The update that is under way adds these variables and custom factors, and removes these factors.
@@ -56,20 +57,31 @@ class TreeState:
         """
         graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
         values = Values() if values is None else values
-        keys, self._made = values.keys().tolist(), False
+        self._made = False
+        keys = [key for mine in values.keys_by_family() for key in mine]
         self._check_new(keys)
-        self._add_variables(self.early.enter(graph, values, keys))
+        groups = graph.groups()
+        named = [added.record.flat_keys() for added in groups]
+        self._add_variables(self.early.enter(graph, values, keys, named))
+        staged: list[Staged] = []
         try:
-            staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added, let_go)]
+            for added, mine in zip(groups, named, strict=True):
+                if mine:
+                    staged += self.staging.parts(added, self._numbers_of(mine, added), let_go)
             held = self._held(graph.fixed)
         except GraphError:
             self.roll_back()
             raise
         if held is not None:
             self.native.hold(held)
-        if len(staged) == 1:
-            return self._add_factors(staged[0])
-        numbers = np.zeros(len(graph), dtype=np.int32)
+        return self._enter(staged, len(graph))
+
+    def _enter(self, staged: list[Staged], count: int) -> Int32s:
+        """Hand factors over and return their numbers, in the order of the graph's."""
+        # One each, and so in order: what an online graph adds.
+        if len(staged) == count and not self.staging.custom.kinds:
+            return self.native.add_single_factors(staged)
+        numbers = np.zeros(count, dtype=np.int32)
         for part in staged:
             numbers[part.rows] = self._add_factors(part)
         return numbers
@@ -86,17 +98,16 @@ class TreeState:
                 raise GraphError(f"{key_list(np.array(twice))}: has a value already and waits for its first factor")
 
     def _add_variables(self, values: Values) -> None:
-        keys = values.keys().tolist()
-        at = 0
-        for family, packed in zip(values.families(), values.packed(), strict=True):
-            for number in self.native.add_variables(family.code, family.dof, packed.reshape(-1)).tolist():
-                if number == len(self._keys):
-                    self._keys.append(keys[at])
-                    self._families.append(family)
-                self._keys[number] = keys[at]
-                self._number[keys[at]] = number
-                self._fresh.add(number)
-                at += 1
+        keys, families, number = self._keys, self._families, self._number
+        for family, packed, mine in zip(values.families(), values.packed(), values.keys_by_family(), strict=True):
+            added = self.native.add_variables(family.code, family.dof, packed.reshape(-1)).tolist()
+            for variable, key in zip(added, mine, strict=True):
+                if variable == len(keys):
+                    keys.append(key)
+                    families.append(family)
+                keys[variable] = key
+                number[key] = variable
+            self._fresh.update(added)
 
     def roll_back(self) -> None:
         """Undo what the update that is under way has brought: everything is as it was before."""
@@ -122,11 +133,71 @@ class TreeState:
         self._fresh.clear()
         self._entered, self._removed, self._switched = [], [], {}
 
-    def relinearize(self, budget: Budget) -> int:
-        """Let variables take long steps into their linearisation points; return how many did."""
-        if not budget.relinearize:
-            return 0
-        return self.native.relinearize(budget.threshold, budget.relinearize, budget.farthest_first)
+    def advance(
+        self, budget: Budget, tally: PassTally, graph: FactorGraph | None, values: Values | None
+    ) -> tuple[int, int]:
+        """Do one pass; return how many variables were relinearised, and how many deferred steps were computed.
+
+        Long steps go into the linearisation points, the top of the tree is taken down, ordered with the newest last and
+        eliminated; steps are carried down. When the elimination is done the update is in the tree for good.
+
+        Parameters
+        ----------
+        budget : Budget
+            What the pass may do.
+        tally : PassTally
+            Receives what it did, and its seconds.
+        graph, values : FactorGraph and Values, or None
+            What the update brought, for a message.
+
+        Raises
+        ------
+        UnderconstrainedError
+            Something is not determined; the update is undone.
+        """
+        if self.staging.custom.kinds:
+            return self._advance_by_steps(budget, tally, graph, values)
+        done = self.native.advance(
+            budget.threshold,
+            budget.relinearize,
+            budget.farthest_first,
+            budget.eliminate,
+            budget.wildfire,
+            budget.fluid_threshold,
+            budget.steps,
+            budget.deferred_steps,
+        )
+        self._decide(done.undetermined, graph, values)
+        tally.add(done.relinearized, self.native.counts(), done.seconds)
+        return done.relinearized, done.caught_up
+
+    def _advance_by_steps(
+        self, budget: Budget, tally: PassTally, graph: FactorGraph | None, values: Values | None
+    ) -> tuple[int, int]:
+        """Do one pass as `advance`, with the user's own factors evaluated between two of its steps."""
+        native, laps = self.native, [time.perf_counter()]
+        relinearized = 0
+        if budget.relinearize:
+            relinearized = native.relinearize(budget.threshold, budget.relinearize, budget.farthest_first)
+        laps.append(time.perf_counter())
+        self.detach()
+        laps.append(time.perf_counter())
+        native.reorder()
+        laps.append(time.perf_counter())
+        self._decide(native.eliminate(budget.eliminate), graph, values)
+        laps.append(time.perf_counter())
+        caught_up = 0
+        if not native.waiting:
+            caught_up = native.solve(budget.wildfire, budget.fluid_threshold, budget.steps, budget.deferred_steps)
+        laps.append(time.perf_counter())
+        tally.add(relinearized, native.counts(), [after - before for before, after in pairwise(laps)])
+        return relinearized, caught_up
+
+    def _decide(self, undetermined: int, graph: FactorGraph | None, values: Values | None) -> None:
+        """Take the update for good, or say why it was refused at a variable."""
+        if undetermined >= 0:
+            raise UnderconstrainedError(self._refused(undetermined, graph, values))
+        self._commit_names()
 
     def detach(self) -> None:
         """Take down the top of the tree, and evaluate the user's own factors in it that have to be linearised."""
@@ -139,29 +210,6 @@ class TreeState:
         except GraphError:
             self.roll_back()
             raise
-
-    def reorder(self) -> None:
-        """Order what was taken down: the newest last."""
-        self.native.reorder()
-
-    def eliminate(self, budget: Budget, graph: FactorGraph | None, values: Values | None) -> None:
-        """Eliminate what was taken down; the update is then in the tree for good.
-
-        Raises
-        ------
-        UnderconstrainedError
-            Something is not determined; the update is undone.
-        """
-        failed = self.native.eliminate(budget.eliminate)
-        if failed >= 0:
-            raise UnderconstrainedError(self._refused(failed, graph, values))
-        self._commit_names()
-
-    def solve(self, budget: Budget) -> int:
-        """Carry steps down, unless variables wait to be eliminated; return how many deferred ones it computed."""
-        if self.native.waiting:
-            return 0
-        return self.native.solve(budget.wildfire, budget.fluid_threshold, budget.steps, budget.deferred_steps)
 
     def converged(self, threshold: float | None) -> bool:
         """Return whether no step is longer than a threshold [rad, m], or without one whether nothing is left to do."""
@@ -255,7 +303,7 @@ class TreeState:
     def _hold_leaving(self, graph: FactorGraph) -> None:
         """Give what `leaving` returned to the update that is under way."""
         for added in graph.groups():
-            for part in self._stage(added):
+            for part in self.staging.parts(added, self._numbers_of(added.record.flat_keys(), added)):
                 self._add_factors(part)
 
     def _held(self, keys: NDArray[np.int64]) -> Int32s | None:
@@ -269,20 +317,28 @@ class TreeState:
     def _numbers(self, keys: NDArray[np.int64], what: Callable[[], str]) -> Int32s:
         """Return the numbers of the variables, of the keys' shape; `what` tells a message what names them."""
         numbers = [self._number.get(key, -1) for key in keys.ravel().tolist()]
-        found = np.array(numbers, dtype=np.int32).reshape(keys.shape)
         if -1 in numbers:
-            left = keys[np.array([key in self._left for key in keys.ravel().tolist()]).reshape(keys.shape)]
-            if left.size:
-                raise GraphError(f"{key_list(left)}: {what()}, but marginalised out; name only keys that are kept")
-            early = np.array([key for key in keys[found < 0].tolist() if key in self.early.values], dtype=np.int64)
-            if early.size:
-                raise GraphError(f"{key_list(early)}: {what()}, but without a factor so far; add one first")
-            raise GraphError(f"{key_list(keys[found < 0])}: {what()}, but without a value; insert one with the factor")
-        return found
+            raise GraphError(self._missing(keys.ravel(), what()))
+        return np.array(numbers, dtype=np.int32).reshape(keys.shape)
 
-    def _stage(self, added: Added, let_go: Mask | None = None) -> list[Staged]:
-        scopes = self._numbers(added.record.keys, lambda: f"in {added.name(0)} and what follows it")
-        return self.staging.parts(added, scopes, self._families, let_go)
+    def _numbers_of(self, keys: list[int], added: Added) -> list[int]:
+        """Return the numbers of a record's variables."""
+        numbers = [self._number.get(key, -1) for key in keys]
+        if -1 in numbers:
+            what = f"in {added.name(0)} and what follows it"
+            raise GraphError(self._missing(np.array(keys, dtype=np.int64), what))
+        return numbers
+
+    def _missing(self, keys: NDArray[np.int64], what: str) -> str:
+        """Return what is wrong with the first kind of keys (N,) that are not in the tree."""
+        left = keys[[key in self._left and key not in self._number for key in keys.tolist()]]
+        if left.size:
+            return f"{key_list(left)}: {what}, but marginalised out; name only keys that are kept"
+        missing = keys[[key not in self._number for key in keys.tolist()]]
+        early = missing[[key in self.early.values for key in missing.tolist()]]
+        if early.size:
+            return f"{key_list(early)}: {what}, but without a factor so far; add one first"
+        return f"{key_list(missing)}: {what}, but without a value; insert one with the factor"
 
     def _add_factors(self, part: Staged) -> Int32s:
         numbers, entered = self.staging.hand_over(part)
@@ -314,21 +370,6 @@ class TreeState:
             raise GraphError(f"factors {key_list(array)}: not all of them are in the smoother; nothing was switched")
         self._switched.update(dict.fromkeys(array.tolist(), 1.0 if on else 0.0))
 
-    def let_go(self, numbers: Int32s) -> None:
-        """Let factors keep their numbers and say nothing, from the next pass on."""
-        if numbers.size:
-            self.native.let_go(numbers)
-
-    def take_back(self, numbers: Int32s) -> None:
-        """Let factors that were let go speak again, from the next pass on."""
-        if numbers.size:
-            self.native.take_back(numbers)
-
-    def weigh(self, numbers: Int32s, weights: Array) -> None:
-        """Weigh factors, from the next pass on."""
-        if numbers.size:
-            self.native.weigh_factors(numbers, weights)
-
     def restore(self, saved: bytes) -> None:
         """Put the tree back to what `native.save` said, of the same variables and factors."""
         self.native = self.staging.native = _core.BayesTree()
@@ -347,12 +388,6 @@ class TreeState:
     def family_of(self, number: int) -> Family:
         """Return the family of one of the native side's variables."""
         return self._families[number]
-
-    def pose(self, number: int, ops: ModuleType) -> Array:
-        """Return the estimate of one of the native side's variables as a pose of `se2` or `se3`."""
-        family = self._families[number]
-        value = family.elements(self.native.estimate(np.array([number], dtype=np.int32)).reshape(1, -1))[0]
-        return value if ops is se2 else np.asarray(se3.from_rotation_translation(value[:3, :3], value[:3, 3]))
 
     @property
     def switching(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +15,7 @@ from heliograph.arrays import freeze
 __all__ = ["PassTally", "UpdateResult"]
 
 Int32s = NDArray[np.int32]
+_STEPS = ("relinearize", "detach", "reorder", "eliminate", "solve")  # of a pass
 
 
 def _none() -> Int32s:
@@ -39,8 +41,8 @@ class UpdateResult:
     solved : int
         Variables whose step was computed.
     iterations : int
-        Passes: one; two where variables moved beyond the threshold and the first was cheap; more only where convergence
-        was asked for.
+        Passes: one; two where a variable moved beyond twice the threshold and the first was cheap; more only where
+        convergence was asked for.
     settled : bool
         Nothing is pending or deferred: no variable is farther than the threshold from where its factors were
         linearised. That bounds no cost: after a loop that bends a long trajectory it may be percents above the optimum.
@@ -86,7 +88,8 @@ class PassTally:
     """What an update has done so far, pass by pass, and the seconds that its steps took."""
 
     __slots__ = (
-        "_last",
+        "_began",
+        "_tests_began",
         "cliques",
         "iterations",
         "linearized",
@@ -101,16 +104,17 @@ class PassTally:
         self.iterations = self.relinearized = self.reeliminated = self.cliques = self.linearized = self.solved = 0
         self.work = 0.0  # multiplications of the last elimination
         self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
+        self._began = self._tests_began = time.perf_counter()
 
-    def lap(self, step: str) -> None:
-        """Give the time since the last lap to a step."""
-        now = time.perf_counter()
-        self.seconds[step] = self.seconds.get(step, 0.0) + now - self._last
-        self._last = now
+    def brought(self) -> None:
+        """Note that what the update brings has been handed over."""
+        self.seconds["add"] = time.perf_counter() - self._began
 
-    def add(self, relinearized: int, counts: _core.TreeCounts) -> None:
-        """Add a pass."""
+    def add(self, relinearized: int, counts: _core.TreeCounts, seconds: Sequence[float]) -> None:
+        """Add a pass; seconds are those of its steps."""
+        mine = self.seconds
+        for step, took in zip(_STEPS, seconds, strict=True):
+            mine[step] = mine[step] + took if self.iterations else took
         self.iterations += 1
         self.relinearized += relinearized
         self.reeliminated += counts.variables
@@ -118,6 +122,14 @@ class PassTally:
         self.linearized += counts.linearized
         self.solved += counts.solved
         self.work = counts.work
+
+    def begin_tests(self) -> None:
+        """Note that from here on doubtful factors are decided about."""
+        self._tests_began = time.perf_counter() - sum(self.seconds.values())
+
+    def end_tests(self) -> None:
+        """Note the seconds that the decisions took, without those of the passes among them."""
+        self.seconds["outliers"] = time.perf_counter() - sum(self.seconds.values()) - self._tests_began
 
     def result(
         self,
