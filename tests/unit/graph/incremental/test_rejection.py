@@ -305,7 +305,28 @@ class Height(Factor):
 
     @staticmethod
     def residual(T, y):
-        return T[:, 1, 2:] - y[:, None]
+        return T[:, 1, 2:] - y
+
+
+def test_doubt_is_carried_however_factors_come():
+    """Alone, in one record, in two, and beside a factor of one's own: the same are let go."""
+    T = SE2.exp([[0.0, 1.0, 0.0], [0.0, 5.0, 0.0], [0.0, 11.0, 0.0]])
+    i, j = np.array([10, 0, 0]), np.array([11, 11, 11])
+    known = FactorGraph()
+    known.add(Height(3, data=(np.zeros(1),), noise=Isotropic(0.01)))
+    points = []
+    for parts in ([0, 1, 2], [[0, 1, 2]], [0, [1, 2]]):
+        for own in (False, True):
+            smoother, graph = chain(np.random.default_rng(3)), FactorGraph()
+            if own:
+                smoother.update(known)
+            for part in parts:
+                graph.add(Between(i[part], j[part], T[part], LOOP))
+            result = smoother.update(graph)
+            assert smoother.weights(result.factors).tolist() == [1.0, 0.0, 1.0]
+            assert {"add", "eliminate", "outliers"} <= result.seconds.keys() and min(result.seconds.values()) >= 0.0
+            points.append(smoother.estimate(11).matrix.tobytes())
+    assert len(set(points[0::2])) == len(set(points[1::2])) == 1  # to the bit
 
 
 def test_mistakes_are_named(rng):
