@@ -21,6 +21,7 @@ from benchmarks import (
     kitti,
     lio,
     loops,
+    outliers,
     registration,
     speed,
     start,
@@ -30,11 +31,21 @@ from benchmarks.rivals import ADAPTERS
 
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
-_GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale")
+_GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale", "graph-outliers")
 _CLOUDS = ("registration", "blind", "kd-tree")
 _ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "lio", "calibrate", *_CLOUDS, "loops")
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio")
-_RUNS = {"imu": 20, "lio": 5, "speed": 5, "start": 3, "graph": 7, "graph-scale": 1, "graph-incremental": 5, "loops": 3}
+_RUNS = {
+    "imu": 20,
+    "lio": 5,
+    "speed": 5,
+    "start": 3,
+    "graph": 7,
+    "graph-scale": 1,
+    "graph-incremental": 5,
+    "graph-outliers": 2,
+    "loops": 3,
+}
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
 
@@ -92,6 +103,9 @@ def _graphs(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         runs, folder = arguments.runs or _RUNS["graph-incremental"], arguments.data.parent / "posegraphs"
         rows = graph_incremental.compare_incremental(folder, names, work, programs, runs=runs)
         _write("graph_incremental", rows)
+    if "graph-outliers" in wanted:
+        seeds, folder = range(200, 200 + (arguments.runs or _RUNS["graph-outliers"])), arguments.data.parent
+        _write("graph_outliers", list(outliers.measure_outliers(folder / "posegraphs", seeds=seeds)))
     if "graph-incremental-scale" in wanted:
         count = arguments.poses
         _write("graph_incremental_scale", graph_incremental.measure_incremental_scale(work, programs, count=count))

@@ -105,7 +105,8 @@ def compare(folder: Path, work: Path, rival: Path, ours: Path, *, runs: int) -> 
     systems = {"heliograph": (ours, "heliograph_lio.py")}
     if rival.exists():
         systems["gtsam"] = (rival, "gtsam_lio.py")
-    alone = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    # One thread; and the scripts find this package.
+    alone = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONPATH": str(_HERE.parent)}
     rows = []
     for name in GRAPHS:
         task = work / f"{name}.npz"

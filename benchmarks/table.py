@@ -15,6 +15,7 @@ from benchmarks.imu_table import gnss_section, lio_section, preintegration_secti
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.kd_tree import kd_tree_section
 from benchmarks.loops import loops_section
+from benchmarks.outliers import outliers_section
 from benchmarks.registration import registration_section
 from benchmarks.start import start_section
 
@@ -27,6 +28,7 @@ _OTHER_SECTIONS = {
     "graph_scale": scale_section,
     "graph_incremental": incremental_section,
     "graph_incremental_scale": incremental_scale_section,
+    "graph_outliers": outliers_section,
     "imu": preintegration_section,
     "imu_gnss": gnss_section,
     "lio": lio_section,

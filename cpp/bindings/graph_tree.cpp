@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT
 #include <nanobind/stl/vector.h>
 
+#include <array>
 #include <mutex>
 
 #include "bindings/bindings.hpp"
+#include "graph/factors/pack.hpp"
 #include "graph/tree/bayes_tree.hpp"
 
 namespace heliograph {
@@ -82,6 +84,63 @@ size_t solve(SharedTree& t, double wildfire, double relinearize, size_t max, siz
   return t.call([&](BayesTree& tree) { return tree.solve({wildfire, relinearize, max, max_deferred}); });
 }
 
+PassReport advance(SharedTree& t, double threshold, size_t relinearize, bool farthest_first, size_t eliminate, double wildfire,
+                   double fluid_threshold, size_t steps, size_t deferred_steps) {
+  const PassLimits limits{threshold, relinearize, farthest_first, eliminate, {wildfire, fluid_threshold, steps, deferred_steps}};
+  return t.call([&](BayesTree& tree) { return tree.advance(limits); });
+}
+
+constexpr int kMaxStorage = 16;  // doubles of a packed value
+
+// A factor of its own kind, as Python stages it: (..., kind, scope, family of a measurement that is not packed or -1, measurement,
+// square root of information, data of the user's own, whether it is let go).
+struct SingleFactor {
+  int32_t kind = -1;
+  size_t arity = 0;
+  std::array<int32_t, kMaxArity> scope{};
+  std::array<double, kMaxStorage> packed{};
+  std::span<const double> measurement, root;
+  bool let_go = false;
+};
+
+void read_single(nb::handle staged, SingleFactor* to) {
+  const auto item = nb::borrow<nb::tuple>(staged);
+  SingleFactor& out = *to;
+  out.kind = nb::cast<int32_t>(item[1]);
+  for (const nb::handle variable : nb::borrow<nb::list>(item[2])) {
+    if (out.arity == out.scope.size()) throw std::invalid_argument("a factor of too many variables");
+    out.scope[out.arity++] = nb::cast<int32_t>(variable);
+  }
+  // The arrays live in the tuples that the caller holds.
+  const int family = nb::cast<int>(item[3]);
+  if (family < 0) {
+    out.measurement = span_of(nb::cast<Doubles>(item[4], false));
+  } else {
+    const auto x = nb::cast<nb::ndarray<const double, nb::device::cpu>>(item[4], false);
+    const auto manifold = static_cast<Manifold>(family);
+    const int storage = storage_of(manifold, 0);
+    if (manifold == Manifold::vector || x.ndim() == 0 || storage > kMaxStorage) throw std::invalid_argument("not a single value");
+    pack_single(manifold, 0, x.data(), x.stride(0), x.ndim() > 1 ? x.stride(1) : 0, out.packed.data());
+    out.measurement = {out.packed.data(), static_cast<size_t>(storage)};
+  }
+  out.root = span_of(nb::cast<Doubles>(item[5], false));
+  out.let_go = nb::cast<bool>(item[7]);
+}
+
+// Factors of any kinds, one each: a single call for an update of a few. Returns their numbers.
+auto add_single_factors(SharedTree& t, const nb::list& staged) {
+  std::vector<SingleFactor> factors(staged.size());
+  for (size_t i = 0; i < factors.size(); ++i) read_single(staged[i], &factors[i]);
+  return to_array(t.call([&](BayesTree& tree) {
+    std::vector<int32_t> numbers;
+    for (const SingleFactor& f : factors) {
+      const std::vector<int32_t> added = tree.add_factors(f.kind, {f.scope.data(), f.arity}, f.measurement, f.root, f.let_go);
+      numbers.insert(numbers.end(), added.begin(), added.end());
+    }
+    return numbers;
+  }));
+}
+
 nb::bytes save(SharedTree& t) {
   const std::vector<uint8_t> bytes = t.call([](BayesTree& tree) { return tree.save(); });
   return nb::bytes(reinterpret_cast<const char*>(bytes.data()), bytes.size());
@@ -106,6 +165,11 @@ void bind_records(nb::module_& m) {
       .def_ro("linearized", &TreeCounts::linearized)
       .def_ro("solved", &TreeCounts::solved)
       .def_ro("work", &TreeCounts::work);
+  nb::class_<PassReport>(m, "PassReport")
+      .def_ro("relinearized", &PassReport::relinearized)
+      .def_ro("caught_up", &PassReport::caught_up)
+      .def_ro("undetermined", &PassReport::undetermined)
+      .def_prop_ro("seconds", [](const PassReport& r) { return std::vector<double>(r.seconds.begin(), r.seconds.end()); });
   const auto list = [](std::vector<int32_t> CliqueTable::*member) {
     return [member](const CliqueTable& table) { return to_array(std::vector<int32_t>(table.*member)); };
   };
@@ -131,11 +195,13 @@ void bind_contents(nb::class_<SharedTree>& bound) {
            "variables"_a.noconvert())
       .def("add_kind", &add_kind, "type"_a, "manifolds"_a.noconvert(), "dofs"_a.noconvert(), "rows"_a, "noise"_a, "kernel"_a,
            "width"_a, "measurement"_a)
-      .def("add_factors", [](SharedTree& t, int kind, const Indices& variables, const Doubles& measurement, const Doubles& noise) {
+      .def("add_factors", [](SharedTree& t, int kind, const Indices& variables, const Doubles& measurement, const Doubles& noise,
+                             bool let_go) {
              return to_array(t.call([&](BayesTree& tree) {
-               return tree.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise));
+               return tree.add_factors(kind, span_of(variables), span_of(measurement), span_of(noise), let_go);
              }));
-           }, "kind"_a, "variables"_a.noconvert(), "measurement"_a.noconvert(), "sqrt_information"_a.noconvert())
+           }, "kind"_a, "variables"_a.noconvert(), "measurement"_a.noconvert(), "sqrt_information"_a.noconvert(), "let_go"_a = false)
+      .def("add_single_factors", &add_single_factors, "staged"_a)
       .def("remove_factors", [](SharedTree& t, const Indices& f) {
              t.call([&](BayesTree& tree) { tree.remove_factors(span_of(f)); });
            }, "factors"_a.noconvert())
@@ -144,7 +210,11 @@ void bind_contents(nb::class_<SharedTree>& bound) {
            }, "factors"_a.noconvert())
       .def("weigh_factors", [](SharedTree& t, const Indices& f, const Doubles& w) {
              t.call([&](BayesTree& tree) { tree.weigh_factors(span_of(f), span_of(w)); });
-           }, "factors"_a.noconvert(), "weights"_a.noconvert());
+           }, "factors"_a.noconvert(), "weights"_a.noconvert())
+      .def("let_go", [](SharedTree& t, const Indices& f) { t.call([&](BayesTree& tree) { tree.let_go(span_of(f)); }); },
+           "factors"_a.noconvert())
+      .def("take_back", [](SharedTree& t, const Indices& f) { t.call([&](BayesTree& tree) { tree.take_back(span_of(f)); }); },
+           "factors"_a.noconvert());
 }
 
 // One update, step by step, and what leaves.
@@ -165,6 +235,8 @@ void bind_update(nb::class_<SharedTree>& bound) {
       .def("eliminate", [](SharedTree& t, size_t max) {
              return t.call([&](BayesTree& tree) { return tree.eliminate(max); });
            }, "max"_a)
+      .def("advance", &advance, "threshold"_a, "relinearize"_a, "farthest_first"_a, "eliminate"_a, "wildfire"_a,
+           "fluid_threshold"_a, "steps"_a, "deferred_steps"_a)
       .def("undo", [](SharedTree& t) { t.call([](BayesTree& tree) { tree.undo(); }); })
       .def("solve", &solve, "wildfire"_a, "relinearize"_a, "max"_a, "max_deferred"_a)
       .def("finish_steps", [](SharedTree& t) { t.call([](BayesTree& tree) { tree.finish_steps(); }); })
@@ -202,6 +274,18 @@ void bind_answers(nb::class_<SharedTree>& bound) {
       .def("clique_table", [](SharedTree& t) { return t.call([](BayesTree& tree) { return clique_table(tree); }); })
       .def("largest_step", [](SharedTree& t) { return t.call([](BayesTree& tree) { return tree.largest_step(); }); })
       .def("cost", [](SharedTree& t) { return t.call([](BayesTree& tree) { return tree.cost().cost; }); })
+      .def("factor_data", [](SharedTree& t, int32_t f) {  // variables, measurement, form of noise, its numbers
+             auto [scope, alone] = t.call([&](BayesTree& tree) { return tree.factor_alone(f); });
+             return nb::make_tuple(to_array(std::move(scope)), to_array(std::move(alone.measurement)),
+                                   static_cast<int>(alone.noise), to_array(std::move(alone.sqrt_information)));
+           }, "factor"_a)
+      .def("squared", [](SharedTree& t, const Indices& f, uint32_t since) {
+             return to_array(t.call([&](BayesTree& tree) { return tree.squared(span_of(f), since); }));
+           }, "factors"_a.noconvert(), "since"_a)
+      .def("innovations", [](SharedTree& t, const Indices& f) {
+             return to_array(t.call([&](BayesTree& tree) { return tree.innovations(span_of(f)); }));
+           }, "factors"_a.noconvert())
+      .def_prop_ro("solves", number(&BayesTree::solves))
       .def("save", &save)
       .def("load", &load, "state"_a)
       .def("bytes", [](SharedTree& t) { return t.call([](BayesTree& tree) { return tree.bytes(); }); })
@@ -211,6 +295,7 @@ void bind_answers(nb::class_<SharedTree>& bound) {
       .def_prop_ro("factors", number(&BayesTree::factors))
       .def_prop_ro("waiting", number(&BayesTree::waiting))
       .def_prop_ro("fluid", number(&BayesTree::fluid))
+      .def_prop_ro("longest_fluid", number(&BayesTree::longest_fluid))
       .def_prop_ro("deferred", number(&BayesTree::deferred));
 }
 

@@ -49,7 +49,7 @@ class Pair {
     std::vector<int32_t> scope;
     if (i >= 0) scope.push_back(i);
     scope.push_back(j);
-    factor.number = tree.add_factors(kind(di, dj), scope, factor.measurement, {&kRoot, 1}).front();
+    factor.number = tree.add_factors(kind(di, dj), scope, factor.measurement, {&kRoot, 1}, false).front();
     factors.push_back(factor);
   }
 

@@ -257,6 +257,10 @@ def _read_only(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
+_HOLDERS: dict[type, tuple[str, ...]] = {}  # by class: fields that may hold arrays
+_PLAIN = frozenset({"int", "float", "bool", "str", "int | None", "float | None", "bool | None", "str | None"})
+
+
 class _Record(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -267,7 +271,11 @@ def freeze(record: _Record) -> None:
     A record's ``__post_init__`` calls it. The field becomes a view: nothing is copied, and whoever made the array may
     still write to the one that he holds, which is why makers whose array lives on hand in a copy.
     """
-    for name in record.__dataclass_fields__:
+    cls = record.__class__
+    names = _HOLDERS.get(cls)
+    if names is None:
+        names = _HOLDERS[cls] = tuple(n for n, f in cls.__dataclass_fields__.items() if f.type not in _PLAIN)
+    for name in names:
         value = getattr(record, name)
         kind = type(value)
         if kind is _ARRAY:

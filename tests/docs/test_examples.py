@@ -93,6 +93,12 @@ def test_imu_and_fixes_are_smoothed_from_a_start_in_motion():
     assert abs(bias - 0.004) < 4.0 * sigma
 
 
+def test_online_lio_lets_the_false_loop_go():
+    text = _run("online_lio.py")
+    assert _numbers(r"within ([\d.]+) m", text)[0] < 1.0
+    assert text.endswith("let go: X30 to X70\n")
+
+
 @pytest.mark.slow
 def test_tunnel_degeneracy_points_along_the_tunnel(tmp_path):
     text = _run("tunnel_degeneracy.py", tmp_path / "figure.png", 20)

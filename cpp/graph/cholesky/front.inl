@@ -282,10 +282,17 @@ void add_blocks(const FrontColumns& columns, const BlockView* parts, int64_t cou
     double* to = columns[part.column] + part.row;
     const int64_t ld = columns.distance(part.column);
     const bool row_major = part.transposed != 0;
-    if (part.rows == 3 && part.columns == 3) {
+    const int shape = 16 * part.rows + part.columns;
+    if (shape == 16 * 3 + 3) {
       add_block<3, 3>(to, ld, from, row_major);
-    } else if (part.rows == 6 && part.columns == 6) {
+    } else if (shape == 16 * 6 + 6) {
       add_block<6, 6>(to, ld, from, row_major);
+    } else if (shape == 16 * 9 + 9) {  // extended poses, and their biases
+      add_block<9, 9>(to, ld, from, row_major);
+    } else if (shape == 16 * 9 + 6) {
+      add_block<9, 6>(to, ld, from, row_major);
+    } else if (shape == 16 * 6 + 9) {
+      add_block<6, 9>(to, ld, from, row_major);
     } else {
       const int R = part.rows, C = part.columns;
       for (int c = 0; c < C; ++c)
@@ -370,6 +377,56 @@ void back_substitute(const FrontView& front, const double* f, const double* y, c
   }
   while (c-- > 0)
     back_columns<1>(f + c * ld + c, ld, front.pivots - c, front.rows, y != nullptr ? y + c : nullptr, rows, x + c);
+}
+
+// Rows of `width` doubles each, of a front's pivots and of what remains: L11 Y = B for the pivots, from row `from` on (those
+// above are zero), then B_rows -= L21 Y; what Y'Y is of the first `dof` columns is added to `sum`.
+template <int W>
+inline void forward_rows(const double* f, int64_t ld, int from, int pivots, int all, int dof, double* b, double* sum) {
+  constexpr int kWidth = W * kStep, V = kWidth / kLanes, kTogether = V <= 3 ? 4 : 2;
+  for (int r = from; r < pivots; ++r) {
+    Lane x[V];
+    for (int v = 0; v < V; ++v) x[v] = load(b + r * kWidth + v * kLanes);
+    for (int k = from; k < r; ++k)
+      for (int v = 0; v < V; ++v) x[v] -= splat(f[k * ld + r]) * load(b + k * kWidth + v * kLanes);
+    for (int v = 0; v < V; ++v) store(b + r * kWidth + v * kLanes, x[v] / splat(f[r * ld + r]));
+  }
+  int r = pivots;
+  for (; r + kTogether <= all; r += kTogether) {
+    Lane x[kTogether][V];
+    for (int i = 0; i < kTogether; ++i)
+      for (int v = 0; v < V; ++v) x[i][v] = load(b + (r + i) * kWidth + v * kLanes);
+    for (int k = from; k < pivots; ++k) {
+      const double *column = f + k * ld + r, *y = b + k * kWidth;
+      for (int i = 0; i < kTogether; ++i)
+        for (int v = 0; v < V; ++v) x[i][v] -= splat(column[i]) * load(y + v * kLanes);
+    }
+    for (int i = 0; i < kTogether; ++i)
+      for (int v = 0; v < V; ++v) store(b + (r + i) * kWidth + v * kLanes, x[i][v]);
+  }
+  for (; r < all; ++r)
+    for (int k = from; k < pivots; ++k)
+      for (int v = 0; v < V; ++v) {
+        double* to = b + r * kWidth + v * kLanes;
+        store(to, load(to) - splat(f[k * ld + r]) * load(b + k * kWidth + v * kLanes));
+      }
+  for (int p = 0; p < dof; ++p) {
+    Lane x[V];
+    for (int v = 0; v < V; ++v) x[v] = load(sum + p * kWidth + v * kLanes);
+    for (int k = from; k < pivots; ++k)
+      for (int v = 0; v < V; ++v) x[v] += splat(b[k * kWidth + p]) * load(b + k * kWidth + v * kLanes);
+    for (int v = 0; v < V; ++v) store(sum + p * kWidth + v * kLanes, x[v]);
+  }
+}
+
+void forward_columns(const FrontView& front, const double* f, int from, int dof, double* b, double* sum) {
+  const int all = front.pivots + front.rows;
+  switch ((dof + kStep - 1) / kStep) {
+    case 1: return forward_rows<1>(f, front.height, from, front.pivots, all, dof, b, sum);
+    case 2: return forward_rows<2>(f, front.height, from, front.pivots, all, dof, b, sum);
+    case 3: return forward_rows<3>(f, front.height, from, front.pivots, all, dof, b, sum);
+    default: return forward_rows<4>(f, front.height, from, front.pivots, all, dof, b, sum);
+  }
 }
 
 // y of the pivots and what they take from the rows after them: L11 y = b, b_rows -= L21 y, in place.

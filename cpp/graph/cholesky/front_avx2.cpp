@@ -4,7 +4,7 @@
 
 namespace heliograph {
 
-FrontKernels avx2_front_kernels() { return {eliminate, back_substitute, forward_substitute}; }
+FrontKernels avx2_front_kernels() { return {eliminate, back_substitute, forward_substitute, forward_columns}; }
 
 }  // namespace heliograph
 #endif

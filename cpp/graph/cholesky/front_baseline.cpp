@@ -3,6 +3,6 @@
 
 namespace heliograph {
 
-FrontKernels baseline_front_kernels() { return {eliminate, back_substitute, forward_substitute}; }
+FrontKernels baseline_front_kernels() { return {eliminate, back_substitute, forward_substitute, forward_columns}; }
 
 }  // namespace heliograph

@@ -79,6 +79,7 @@ struct FrontKernels {
   int (*eliminate)(const PlanView&, int32_t, const Assembly&, double*, double* const*, double*);
   void (*back_substitute)(const FrontView&, const double*, const double*, const double*, double*);
   void (*forward_substitute)(const PlanView&, int32_t, const double*, double*);
+  void (*forward_columns)(const FrontView&, const double*, int, int, double*, double*);
 };
 
 FrontKernels baseline_front_kernels();

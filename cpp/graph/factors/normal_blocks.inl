@@ -105,23 +105,97 @@ HELIOGRAPH_INLINE void gram_row(const Layout& layout, const double* W, double w,
   }
 }
 
-// Blocks H_ab, a <= b, then the gradients, as factor_group.hpp lays them out.
+#if defined(__AVX2__)
+constexpr int kGramLanes = 4;
+#else
+constexpr int kGramLanes = 2;
+#endif
+typedef double GramLane __attribute__((vector_size(kGramLanes * 8), aligned(8), may_alias));
+constexpr int kGramRows = 3;  // divides the degrees of freedom of all motions
+
+// Rows p .. p + 3 of W' W in V vectors of columns: the sums of `gram_row` in the same order, kept in registers.
+template <int V>
+HELIOGRAPH_INLINE void gram_tile(const double* W, const double* scaled, int stride, int depth, double* out) {
+  GramLane sum[kGramRows][V];
+  for (int i = 0; i < kGramRows; ++i)
+    for (int v = 0; v < V; ++v) sum[i][v] = GramLane{};
+  for (int k = 0; k < depth; ++k, W += stride, scaled += stride)
+    for (int v = 0; v < V; ++v) {
+      const GramLane x = *reinterpret_cast<const GramLane*>(W + v * kGramLanes);
+      for (int i = 0; i < kGramRows; ++i) sum[i][v] += (GramLane{} + scaled[i]) * x;
+    }
+  for (int i = 0; i < kGramRows; ++i)
+    for (int v = 0; v < V; ++v) *reinterpret_cast<GramLane*>(out + i * stride + v * kGramLanes) = sum[i][v];
+}
+
+// The same from column `first` on; `scaled` is w W, `out` has rows of `stride`.
 template <class Layout>
-HELIOGRAPH_INLINE void write_blocks(const Layout& layout, const double* W, double w, double* row, double* out) {
+HELIOGRAPH_INLINE void gram_rows(const Layout& layout, const double* W, const double* scaled, int p, int first, double* out) {
+  constexpr int kWide = 3;
+  const int stride = layout.stride(), rows = layout.rows();
+  int q = first;
+  for (; q + kWide * kGramLanes <= stride; q += kWide * kGramLanes)
+    gram_tile<kWide>(W + q, scaled + p, stride, rows, out + q);
+  for (; q < stride; q += kGramLanes) gram_tile<1>(W + q, scaled + p, stride, rows, out + q);
+}
+
+// Large residuals of motions are worth the tiles; small ones unroll.
+template <class Layout>
+constexpr bool tiled() {
+  if constexpr (Layout::kDynamic) {
+    return false;
+  } else {
+    bool whole = Layout::rows() >= kGramRows && Layout::columns() >= 12;
+    for (int a = 0; a < Layout::arity(); ++a) whole = whole && Layout::dof(a) % kGramRows == 0;
+    return whole;
+  }
+}
+
+// Row p of the blocks of variable a, from a row of W' W.
+template <class Layout>
+HELIOGRAPH_INLINE void put_row(const Layout& layout, int a, int p, const double* row, double* block) {
+  for (int b = a; b < layout.arity(); ++b) {
+    for (int q = 0; q < layout.dof(b); ++q) block[p * layout.dof(b) + q] = row[layout.column(b) + q];
+    block += layout.dof(a) * layout.dof(b);
+  }
+}
+
+// W' W by tiles, columns before a variable's own left out. All of it before any is read: what is stored as whole vectors and
+// read again at once from between them would wait.
+template <class Layout>
+HELIOGRAPH_INLINE void gram(const Layout& layout, const double* W, double w, double* scaled, double* out) {
+  for (int i = 0; i < layout.rows() * layout.stride(); ++i) scaled[i] = w * W[i];
+  for (int a = 0; a < layout.arity(); ++a)
+    for (int p = layout.column(a); p < layout.column(a) + layout.dof(a); p += kGramRows)
+      gram_rows(layout, W, scaled, p, layout.column(a) / 4 * 4, out + p * layout.stride());
+}
+
+// Blocks H_ab, a <= b, then the gradients, as factor_group.hpp lays them out. `scaled` and `row` are room for as much as W.
+template <class Layout>
+HELIOGRAPH_INLINE void write_blocks(const Layout& layout, const double* W, double w, double* scaled, double* row, double* out) {
   double* gradient = out;
   for (int a = 0; a < layout.arity(); ++a)
     for (int b = a; b < layout.arity(); ++b) gradient += layout.dof(a) * layout.dof(b);
-  for (int a = 0; a < layout.arity(); ++a) {
-    for (int p = 0; p < layout.dof(a); ++p) {
-      gram_row(layout, W, w, layout.column(a) + p, layout.column(a) / 4 * 4, row);
-      double* block = out;
-      for (int b = a; b < layout.arity(); ++b) {
-        for (int q = 0; q < layout.dof(b); ++q) block[p * layout.dof(b) + q] = row[layout.column(b) + q];
-        block += layout.dof(a) * layout.dof(b);
+  if constexpr (tiled<Layout>()) {
+    double all[Layout::columns() * Layout::stride()];
+    gram(layout, W, w, scaled, all);
+    for (int a = 0; a < layout.arity(); ++a) {
+      for (int p = 0; p < layout.dof(a); ++p) {
+        const double* mine = all + (layout.column(a) + p) * layout.stride();
+        put_row(layout, a, p, mine, out);
+        *gradient++ = mine[layout.columns()];
       }
-      *gradient++ = row[layout.columns()];
+      for (int b = a; b < layout.arity(); ++b) out += layout.dof(a) * layout.dof(b);
     }
-    for (int b = a; b < layout.arity(); ++b) out += layout.dof(a) * layout.dof(b);
+  } else {
+    for (int a = 0; a < layout.arity(); ++a) {
+      for (int p = 0; p < layout.dof(a); ++p) {
+        gram_row(layout, W, w, layout.column(a) + p, layout.column(a) / 4 * 4, row);
+        put_row(layout, a, p, row, out);
+        *gradient++ = row[layout.columns()];
+      }
+      for (int b = a; b < layout.arity(); ++b) out += layout.dof(a) * layout.dof(b);
+    }
   }
 }
 
@@ -158,7 +232,7 @@ static void linearize_range(const FactorView& v, size_t begin, size_t end, doubl
     for (int i = 0; i < rows; ++i) W[i * stride + layout.columns()] = r[i];
     whiten(v.noise, noise_of(v, k, rows), rows, stride, stride, W);
     const double w = weigh(v, k, rows, stride, W + layout.columns(), &total);
-    write_blocks(layout, W, w, row, blocks);
+    write_blocks(layout, W, w, r, row, blocks);
   }
   *sum = total;
 }

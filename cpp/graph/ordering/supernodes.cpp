@@ -168,8 +168,8 @@ std::vector<int32_t> amalgamate(const Fundamental& f, std::span<const int32_t> w
     kids.clear();
     for (int32_t c = first[s]; c != -1; c = next[static_cast<size_t>(c)]) kids.push_back(c);
     // The child that shares most of the front is tried first: it brings the fewest zeros.
-    std::stable_sort(kids.begin(), kids.end(),
-                     [&](int32_t a, int32_t b) { return rows[static_cast<size_t>(a)] > rows[static_cast<size_t>(b)]; });
+    const auto taller = [&](int32_t a, int32_t b) { return rows[static_cast<size_t>(a)] > rows[static_cast<size_t>(b)]; };
+    if (kids.size() > 1) std::stable_sort(kids.begin(), kids.end(), taller);  // it would ask for memory even for one
     for (const int32_t c : kids) {
       const auto child = static_cast<size_t>(c);
       if (!apart_at.empty() && apart_at[static_cast<size_t>(f.begin[child])] != apart_at[static_cast<size_t>(f.begin[s])]) continue;

@@ -10,7 +10,7 @@ namespace heliograph {
 
 namespace {
 
-constexpr uint64_t kMark = 0x3245455254594248;  // "HBYTREE2"
+constexpr uint64_t kMark = 0x3345455254594248, kMarkBefore = 0x3245455254594248;  // "HBYTREE3", and 2: nothing was let go
 
 uint64_t checksum(std::span<const uint8_t> bytes) {  // FNV-1a, eight bytes at a time
   uint64_t hash = 0xcbf29ce484222325;
@@ -133,7 +133,7 @@ template <typename Archive>
 void whole_tree(Archive& with, StoredTree& tree) {
   uint64_t mark = kMark;
   plain(with, mark);
-  if (mark != kMark) damaged();
+  if (mark != kMark && mark != kMarkBefore) damaged();
   auto& [v, factors, cliques, journal, top, kept_order, steps, counts] = tree;
   arrays(with, v.manifold, v.dof, v.theta_at, v.delta_at, v.clique_of, v.theta, v.delta, v.changed, v.fluid_flag, v.held, v.frozen,
          v.fluid);
@@ -152,6 +152,7 @@ void whole_tree(Archive& with, StoredTree& tree) {
   factors.factors.resize(with.count(factors.factors.size()));
   for (TreeFactor& factor : factors.factors) {
     plain(with, factor.kind, factor.index, factor.clique, factor.next, factor.stale);
+    if (mark == kMark) plain(with, factor.let_go);
     if (factor.kind < 0) continue;
     if (static_cast<size_t>(factor.kind) >= factors.kinds.size()) damaged();
     block(with, factors.blocks, factor.block, block_size(factors.kinds[static_cast<size_t>(factor.kind)]));

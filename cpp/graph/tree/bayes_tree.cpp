@@ -2,9 +2,11 @@
 #include "graph/tree/bayes_tree.hpp"
 
 #include <algorithm>
+#include <chrono>
 #include <stdexcept>
 #include <utility>
 
+#include "graph/tree/innovation.hpp"
 #include "graph/tree/regrow.hpp"
 
 namespace heliograph {
@@ -42,6 +44,28 @@ int32_t BayesTree::eliminate(size_t max) {
   top_.close(std::move(grown.rest));
   steps_.expect(std::move(grown.made), std::move(grown.attached), counts_.variables);
   return -1;
+}
+
+PassReport BayesTree::advance(const PassLimits& limits) {
+  using Clock = std::chrono::steady_clock;
+  PassReport report;
+  auto last = Clock::now();
+  size_t step = 0;
+  const auto lap = [&] {
+    const auto now = Clock::now();
+    report.seconds[step++] = std::chrono::duration<double>(now - std::exchange(last, now)).count();
+  };
+  if (limits.relinearize > 0) report.relinearized = relinearize(limits.threshold, limits.relinearize, limits.farthest_first);
+  lap();
+  detach();
+  lap();
+  reorder();
+  lap();
+  report.undetermined = eliminate(limits.eliminate);
+  lap();
+  if (report.undetermined < 0 && waiting() == 0) report.caught_up = solve(limits.steps);
+  lap();
+  return report;
 }
 
 void BayesTree::undo() {
@@ -109,6 +133,36 @@ GroupCost BayesTree::cost() const {
   std::vector<double> x(variables.all_theta().begin(), variables.all_theta().end());
   for (int32_t v = 0; variables.has_slot(v); ++v) variables.retract(v, variables.delta(v), x.data() + variables.theta_offset(v));
   return store_.factors.cost(x.data());
+}
+
+std::pair<std::vector<int32_t>, FactorGroup> BayesTree::factor_alone(int32_t f) const {
+  if (!store_.factors.has({&f, 1})) throw std::invalid_argument("a factor that there is not");
+  const std::span<const int32_t> scope = store_.factors.scope(store_.factors[f]);
+  return {{scope.begin(), scope.end()}, store_.factors.alone(f)};
+}
+
+std::vector<double> BayesTree::squared(std::span<const int32_t> factors, uint32_t since) {
+  if (!store_.factors.has(factors)) throw std::invalid_argument("a factor that there is not");
+  std::vector<double> out;
+  for (const int32_t f : factors) {
+    const std::span<const int32_t> scope = store_.factors.scope(store_.factors[f]);
+    const bool moved = std::any_of(scope.begin(), scope.end(), [&](int32_t v) { return store_.variables.changed(v) > since; });
+    out.push_back(moved || since == 0 ? cost_of_group(store_.factors.alone(f), 0, 1, steps_.estimate(scope).data()).chi2 : -1.0);
+  }
+  return out;
+}
+
+std::vector<double> BayesTree::innovations(std::span<const int32_t> factors) {
+  if (!store_.factors.has(factors)) throw std::invalid_argument("a factor that there is not");
+  std::vector<double> out;
+  for (const int32_t f : factors) {
+    const TreeFactor& factor = store_.factors[f];
+    const std::span<const int32_t> scope = store_.factors.scope(factor);
+    const WhitenedFactor white = whitened(store_.factors.alone(f), steps_.estimate(scope));
+    const Innovation found = innovation(white.r, TreeCovariance(store_).projected(scope, white.J), factor.let_go != 0);
+    out.insert(out.end(), {found.squared, found.left});
+  }
+  return out;
 }
 
 std::vector<double> BayesTree::covariance(std::span<const int32_t> variables) const {

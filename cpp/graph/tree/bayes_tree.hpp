@@ -6,8 +6,10 @@
 // about its rows, a linear factor at their linearisation point, which is kept from then on. And while an elimination is worked
 // through in slices the tree is open: its finished cliques are a forest, whose roots stand among the orphans.
 #pragma once
+#include <array>
 #include <cstdint>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "graph/tree/archive.hpp"
@@ -21,6 +23,22 @@
 #include "graph/tree/top.hpp"
 
 namespace heliograph {
+
+// What one pass over the tree may do.
+struct PassLimits {
+  double threshold = 0.0;       // as `relinearize` takes them
+  size_t relinearize = 0;       // variables; none is looked for where it is zero
+  bool farthest_first = false;
+  size_t eliminate = 0;         // variables
+  StepLimits steps;
+};
+
+struct PassReport {
+  size_t relinearized = 0;
+  size_t caught_up = 0;        // variables of deferred steps that were computed
+  int32_t undetermined = -1;   // as `eliminate` returns it
+  std::array<double, 5> seconds{};  // relinearize, detach, reorder, eliminate, solve
+};
 
 // The store holds the tree between updates; the journal an update's changes; the top what it took down; the elimination makes
 // its fronts; the steps are carried down; the marginal cuts leaves off. An update is, in this order: add, remove, weigh,
@@ -38,12 +56,16 @@ class BayesTree {
   void hold(std::span<const int32_t> fresh) { journal_.hold(fresh); }  // at the values that they came with
   int32_t add_kind(const FactorKind& kind) { return store_.factors.add_kind(kind); }
   std::vector<int32_t> add_factors(int32_t kind, std::span<const int32_t> variables, std::span<const double> measurement,
-                                   std::span<const double> sqrt_information) {
-    return journal_.add_factors(kind, variables, measurement, sqrt_information);
+                                   std::span<const double> sqrt_information, bool let_go) {
+    return journal_.add_factors(kind, variables, measurement, sqrt_information, let_go);
   }
   void remove_factors(std::span<const int32_t> factors) { journal_.remove_factors(factors); }
   bool has_factors(std::span<const int32_t> factors) const { return store_.factors.has(factors); }
   void weigh_factors(std::span<const int32_t> factors, std::span<const double> weights) { journal_.weigh_factors(factors, weights); }
+
+  // Factors that keep their numbers and say nothing, as those that come with `let_go`; and such as speak again.
+  void let_go(std::span<const int32_t> factors) { journal_.let_go(factors); }
+  void take_back(std::span<const int32_t> factors) { journal_.take_back(factors); }
 
   // --- one update, step by step ---
   // Variables whose step is longer than the threshold take it into their linearisation point; returns how many. At most
@@ -64,6 +86,8 @@ class BayesTree {
   // open until later calls have done the rest. Returns the variable at which the normal equations are not positive definite
   // (the tree is then as before), or -1.
   int32_t eliminate(size_t max);
+  // All of these and `solve` in one, where no custom factor has to be evaluated between them.
+  PassReport advance(const PassLimits& limits);
   // Undoes everything since the last update ended: the tree is as it was then, to the bit.
   void undo();
   size_t solve(const StepLimits& limits);  // returns how many of the variables solved were deferred before
@@ -82,6 +106,7 @@ class BayesTree {
   size_t factors() const { return store_.factors.count(); }
   size_t waiting() const { return top_.waiting(); }     // variables that are not eliminated yet
   size_t fluid() const { return store_.variables.fluid().size(); }  // candidates for relinearisation
+  double longest_fluid() const { return store_.variables.longest_fluid(); }
   size_t deferred() const { return steps_.deferred(); }  // branches whose steps are old
   bool idle() const { return journal_.idle(); }          // no update is under way
   bool held(int32_t variable) const;
@@ -91,7 +116,15 @@ class BayesTree {
   std::span<const double> theta() const { return store_.variables.all_theta(); }
   std::span<const double> delta() const { return store_.variables.all_delta(); }
   double largest_step() const { return store_.variables.largest_step(); }
-  GroupCost cost() const;  // of all factors at the estimate
+  GroupCost cost() const;  // of all factors at the estimate, but those that are let go
+  // One factor of weight one without kernel, and its variables.
+  std::pair<std::vector<int32_t>, FactorGroup> factor_alone(int32_t factor) const;
+  uint32_t solves() const { return steps_.solves(); }  // so far
+  // Squared whitened residuals at the estimate, -1 where no variable has moved since a solve.
+  std::vector<double> squared(std::span<const int32_t> factors, uint32_t since);
+  // How far each factor is from what all others say, and what of that is left when it has its say: two numbers each, see
+  // `Innovation`.
+  std::vector<double> innovations(std::span<const int32_t> factors);
   std::vector<double> covariance(std::span<const int32_t> variables) const;        // see `TreeCovariance`
   std::vector<double> joint_covariance(std::span<const int32_t> variables) const;
   const std::vector<int32_t>& made() const { return steps_.made(); }  // cliques of the last update

@@ -2,7 +2,12 @@
 #include "graph/tree/covariance.hpp"
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <unordered_map>
+#include <utility>
+
+#include "graph/cholesky/front_view.hpp"
+#include "graph/tree/kernels.hpp"
 
 namespace heliograph {
 
@@ -80,6 +85,74 @@ Matrix rows_of_parent(const Clique& clique, const Clique& parent, const Matrix& 
   return Z(from, from);
 }
 
+// L Y = E for the columns E of one variable, clique by clique from its own to the root, where alone Y has rows.
+class PathForward {
+ public:
+  PathForward(const TreeStore& store, int32_t variable)
+      : store_(store), dof_(static_cast<size_t>(store.variables.dof(variable))), width_((dof_ + 3) / 4 * 4),
+        clique_(store.variables.clique_of(variable)) {
+    const Clique& own = store_.cliques[clique_];
+    rows_.assign(static_cast<size_t>(own.pivots + own.rows) * width_, 0.0);
+    from_ = place_in(own, variable);
+    for (size_t k = 0; k < dof_; ++k) rows_[(from_ + k) * width_ + k] = 1.0;
+  }
+
+  // Y'Y, which is the variable's block of H^-1, row-major.
+  std::vector<double> product() {
+    std::vector<double> sum(dof_ * width_, 0.0);
+    while (true) {
+      eliminate(store_.cliques[clique_], sum);
+      const int32_t parent = store_.cliques[clique_].parent;
+      if (parent < 0) break;
+      climb(store_.cliques[clique_], store_.cliques[parent]);
+      clique_ = parent;
+    }
+    std::vector<double> out(dof_ * dof_);
+    for (size_t r = 0; r < dof_; ++r)
+      for (size_t c = 0; c < dof_; ++c) out[r * dof_ + c] = sum[std::min(r, c) * width_ + std::max(r, c)];
+    return out;
+  }
+
+ private:
+  size_t place_in(const Clique& clique, int32_t variable) const {
+    size_t place = 0;
+    for (const int32_t v : clique.nodes) {
+      if (v == variable) break;
+      place += static_cast<size_t>(store_.variables.dof(v));
+    }
+    return place;
+  }
+
+  void eliminate(const Clique& clique, std::vector<double>& sum) {
+    FrontView front;
+    front.pivots = clique.pivots;
+    front.rows = clique.rows;
+    front.height = clique.height;
+    kernels_.forward_columns(front, clique.factor, static_cast<int>(from_), static_cast<int>(dof_), rows_.data(), sum.data());
+  }
+
+  // What is left of the clique's rows, at their places in the parent.
+  void climb(const Clique& clique, const Clique& parent) {
+    std::vector<double> above(static_cast<size_t>(parent.pivots + parent.rows) * width_, 0.0);
+    const double* row = rows_.data() + static_cast<size_t>(clique.pivots) * width_;
+    from_ = static_cast<size_t>(parent.pivots);
+    for (int32_t i = clique.first_row(); i < clique.node_count(); ++i) {
+      const size_t place = place_in(parent, clique.node(i)), doubles = static_cast<size_t>(store_.variables.dof(clique.node(i))) * width_;
+      std::copy_n(row, doubles, above.begin() + static_cast<std::ptrdiff_t>(place * width_));
+      row += doubles;
+      from_ = std::min(from_, place);  // above it Y is zero
+    }
+    rows_ = std::move(above);
+  }
+
+  const TreeStore& store_;
+  FrontKernels kernels_ = front_kernels();
+  size_t dof_, width_;  // width: whole vectors
+  int32_t clique_;
+  std::vector<double> rows_;  // of the clique's pivots and rows, `width_` each
+  size_t from_ = 0;           // first that is not zero
+};
+
 // Solves H X = E for a few columns, on the paths only: elsewhere L^-1 E is zero and X is not asked for.
 class PathSolve {
  public:
@@ -97,7 +170,8 @@ class PathSolve {
   Eigen::Index first(int32_t variable) const { return first_.at(variable); }
   Matrix& X() { return X_; }
 
-  void run() {
+  // L^-1 X.
+  void forward() {
     const std::vector<int32_t>& order = paths_.order();
     for (size_t i = order.size(); i-- > 0;) {
       const Clique& clique = paths_.at(order[i]);
@@ -106,7 +180,11 @@ class PathSolve {
       L.topRows(clique.pivots).triangularView<Eigen::Lower>().solveInPlace(pivots);
       if (clique.rows > 0) X_(rows(clique), Eigen::all) -= L.bottomRows(clique.rows) * pivots;
     }
-    for (const int32_t c : order) {
+  }
+
+  void run() {
+    forward();
+    for (const int32_t c : paths_.order()) {
       const Clique& clique = paths_.at(c);
       const Columns L = columns_of(clique);
       auto pivots = X_.middleRows(first(clique.nodes.front()), clique.pivots);
@@ -131,7 +209,14 @@ class PathSolve {
 
 }  // namespace
 
+std::vector<double> TreeCovariance::block(int32_t variable) const {
+  const auto dof = static_cast<size_t>(store_.variables.dof(variable));
+  if (store_.variables.clique_of(variable) < 0) return std::vector<double>(dof * dof, 0.0);  // held: it has none
+  return PathForward(store_, variable).product();
+}
+
 std::vector<double> TreeCovariance::blocks(std::span<const int32_t> asked) const {
+  if (asked.size() == 1) return block(asked.front());
   const TreeVariables& variables = store_.variables;
   std::unordered_map<int32_t, std::vector<size_t>> asked_of;  // a clique: where its variables' blocks go
   std::vector<size_t> offset(asked.size() + 1, 0);
@@ -182,6 +267,20 @@ std::vector<double> TreeCovariance::joint(std::span<const int32_t> asked) const 
       for (Eigen::Index c = 0; c < size; ++c)
         out[r * static_cast<size_t>(size) + static_cast<size_t>(c)] = solve.X()(place[r], c);
   return out;
+}
+
+Eigen::MatrixXd TreeCovariance::projected(std::span<const int32_t> of, const Eigen::MatrixXd& J) const {
+  const TreeVariables& variables = store_.variables;
+  const Paths paths(store_, of);
+  PathSolve solve(paths, variables, J.rows());
+  Eigen::Index column = 0;
+  for (const int32_t v : of) {
+    const Eigen::Index d = variables.dof(v);
+    if (variables.clique_of(v) >= 0) solve.X().middleRows(solve.first(v), d) += J.middleCols(column, d).transpose();
+    column += d;
+  }
+  solve.forward();
+  return solve.X().transpose() * solve.X();
 }
 
 }  // namespace heliograph

@@ -171,7 +171,8 @@ int32_t TreeElimination::undetermined_fresh(size_t& linearized) {
     if (!store_.variables.held(v)) part.affected.push_back(v);
   if (part.affected.empty()) return -1;
   std::sort(part.affected.begin(), part.affected.end());
-  part.factors = journal_.loose();
+  std::copy_if(journal_.loose().begin(), journal_.loose().end(), std::back_inserter(part.factors),
+               [&](int32_t f) { return store_.factors[f].speaks(); });
   std::vector<int32_t> kept = std::exchange(kept_order_, {});
   TreeTop::Part whole = top_.exchange(std::move(part));
   linearized += linearize_all();

@@ -83,7 +83,7 @@ std::vector<int32_t> TreeFactors::add(int32_t index, std::span<const int32_t> sc
     const double one = 1.0;
     if (!kind.weight.empty()) put(kind.weight, row, &one, 1);
     added.push_back(next_number());
-    factors_[at(added.back())] = {index, static_cast<int32_t>(row), -1, -1, blocks_.take(block_size(kind)), 1, 0};
+    factors_[at(added.back())] = {index, static_cast<int32_t>(row), -1, -1, blocks_.take(block_size(kind)), 1, 0, 0};
   }
   return added;
 }
@@ -136,12 +136,41 @@ void TreeFactors::set_custom(std::span<const int32_t> numbers, std::span<const d
 GroupCost TreeFactors::cost(const double* values) const {
   GroupCost total;
   for (const TreeFactor& factor : factors_) {
-    if (factor.kind < 0) continue;
+    if (factor.kind < 0 || factor.let_go != 0) continue;
     const GroupCost cost = cost_of_group(kind_of(factor), at(factor.index), at(factor.index) + 1, values);
     total.chi2 += cost.chi2;
     total.cost += cost.cost;
   }
   return total;
+}
+
+FactorGroup TreeFactors::alone(int32_t number) const {
+  const TreeFactor& factor = factors_[at(number)];
+  const FactorGroup& kind = kind_of(factor);
+  require(kind.type != FactorType::custom, "a factor that is not evaluated here");
+  FactorGroup out;
+  out.type = kind.type;
+  out.arity = kind.arity;
+  out.rows = kind.rows;
+  out.manifold = kind.manifold;
+  out.dof = kind.dof;
+  out.storage = kind.storage;
+  out.count = 1;
+  out.measurement_size = kind.measurement_size;
+  out.noise = kind.noise;
+  const auto row = [&](const std::vector<double>& stack, size_t width) {
+    const auto first = stack.begin() + static_cast<std::ptrdiff_t>(at(factor.index) * width);
+    return std::vector<double>(first, first + static_cast<std::ptrdiff_t>(width));
+  };
+  out.measurement = row(kind.measurement, static_cast<size_t>(kind.measurement_size));
+  out.sqrt_information = row(kind.sqrt_information, noise_numbers(kind.noise, kind.rows));
+  int64_t offset = 0;
+  for (int a = 0; a < kind.arity; ++a) {
+    out.variables.push_back(a);
+    out.values.push_back(offset);
+    offset += kind.storage[static_cast<size_t>(a)];
+  }
+  return out;
 }
 
 size_t TreeFactors::bytes() const {

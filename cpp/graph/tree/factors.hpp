@@ -19,6 +19,9 @@ struct TreeFactor {
   double* block = nullptr;
   uint8_t stale = 0;     // has to be linearised
   uint8_t removed = 0;   // by the update that is under way
+  uint8_t let_go = 0;    // keeps its number and says nothing: it is in no clique, and joins nothing in the ordering
+
+  bool speaks() const { return removed == 0 && let_go == 0; }
 };
 
 // Same residual, families, noise form and kernel: what factors of one kind share.
@@ -57,7 +60,9 @@ class TreeFactors {
   double set_weight(int32_t factor, double weight);  // returns the old one
   void set_custom(std::span<const int32_t> factors, std::span<const double> residual,
                   const std::vector<std::span<const double>>& jacobians);
-  GroupCost cost(const double* values) const;
+  GroupCost cost(const double* values) const;  // of those that are not let go
+  // A factor alone, of weight one and without kernel, whose values lie one after another.
+  FactorGroup alone(int32_t factor) const;
   size_t bytes() const;
 
   struct Stored {

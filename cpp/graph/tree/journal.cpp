@@ -52,9 +52,12 @@ void TreeJournal::hold(std::span<const int32_t> variables) {
 }
 
 std::vector<int32_t> TreeJournal::add_factors(int32_t kind, std::span<const int32_t> scopes, std::span<const double> measurement,
-                                              std::span<const double> sqrt_information) {
+                                              std::span<const double> sqrt_information, bool let_go) {
   std::vector<int32_t> added = store_.factors.add(kind, scopes, measurement, sqrt_information, store_.variables);
-  for (const int32_t f : added) touch_scope(f);
+  for (const int32_t f : added) {
+    store_.factors[f].let_go = let_go ? 1 : 0;
+    if (!let_go) touch_scope(f);
+  }
   loose_.insert(loose_.end(), added.begin(), added.end());
   return added;
 }
@@ -66,7 +69,7 @@ void TreeJournal::remove_factors(std::span<const int32_t> numbers) {
   for (const int32_t f : numbers) {
     store_.factors[f].removed = 1;
     removed_.push_back(f);
-    touch_scope(f);
+    if (store_.factors[f].let_go == 0) touch_scope(f);
   }
 }
 
@@ -77,6 +80,29 @@ void TreeJournal::weigh_factors(std::span<const int32_t> numbers, std::span<cons
     old_weights_.push_back({numbers[i], store_.factors.set_weight(numbers[i], weights[i])});
     store_.factors[numbers[i]].stale = 1;
     touch_scope(numbers[i]);
+  }
+}
+
+void TreeJournal::let_go(std::span<const int32_t> numbers) {
+  for (const int32_t f : numbers)
+    require(store_.factors.has({&f, 1}) && store_.factors[f].let_go == 0, "a factor that there is not, or that is let go");
+  indivisible_ = indivisible_ || !numbers.empty();
+  for (const int32_t f : numbers) {
+    store_.factors[f].let_go = 1;
+    let_go_.push_back(f);
+    touch_scope(f);
+  }
+}
+
+void TreeJournal::take_back(std::span<const int32_t> numbers) {
+  for (const int32_t f : numbers)
+    require(store_.factors.has({&f, 1}) && store_.factors[f].let_go != 0, "a factor that there is not, or that is not let go");
+  indivisible_ = indivisible_ || !numbers.empty();
+  for (const int32_t f : numbers) {
+    store_.factors[f].let_go = 0;
+    store_.factors[f].stale = 1;
+    taken_back_.push_back(f);
+    touch_scope(f);
   }
 }
 
@@ -112,6 +138,7 @@ void TreeJournal::mark_relinearized() {
 }
 
 void TreeJournal::commit(bool open) {
+  for (const int32_t f : let_go_) store_.factors[f].clique = store_.factors[f].next = -1;
   for (const int32_t f : removed_) store_.factors.drop(f);
   slice_saved_.insert(slice_saved_.end(), std::make_move_iterator(saved_.begin()), std::make_move_iterator(saved_.end()));
   if (!open) slice_saved_.clear();
@@ -157,6 +184,8 @@ void TreeJournal::restore_factors(std::span<const int32_t> open_factors) {
     factors[f].stale = factors[f].clique >= 0 ? 0 : 1;
   }
   for (const int32_t f : removed_) factors[f].removed = 0;
+  for (const int32_t f : let_go_) factors[f].let_go = 0;
+  for (const int32_t f : taken_back_) factors[f].let_go = 1;
   for (size_t i = loose_.size(); i-- > 0;) factors.drop(loose_[i]);  // backwards: their numbers come again in the same order
 }
 
@@ -164,7 +193,8 @@ void TreeJournal::clear() {
   for (const std::vector<int32_t>* list : {&touched_, &relinearized_})
     for (const int32_t v : *list)
       if (static_cast<size_t>(v) < marks_.size()) marks_[static_cast<size_t>(v)] = 0;
-  for (std::vector<int32_t>* list : {&touched_, &relinearized_, &fresh_, &loose_, &removed_, &old_factors_}) list->clear();
+  for (std::vector<int32_t>* list : {&touched_, &relinearized_, &fresh_, &loose_, &removed_, &let_go_, &taken_back_, &old_factors_})
+    list->clear();
   saved_.clear();
   old_blocks_.clear();
   old_weights_.clear();

@@ -23,9 +23,11 @@ class TreeJournal {
   std::vector<int32_t> add_variables(Manifold manifold, int dof, std::span<const double> packed);
   void hold(std::span<const int32_t> variables);  // of this update only
   std::vector<int32_t> add_factors(int32_t kind, std::span<const int32_t> scopes, std::span<const double> measurement,
-                                   std::span<const double> sqrt_information);
+                                   std::span<const double> sqrt_information, bool let_go);
   void remove_factors(std::span<const int32_t> factors);
   void weigh_factors(std::span<const int32_t> factors, std::span<const double> weights);
+  void let_go(std::span<const int32_t> factors);
+  void take_back(std::span<const int32_t> factors);  // that were let go before this update
   // Returns the variables whose linearisation point took the step in, see `TreeVariables::draw_fluid`.
   std::vector<int32_t> relinearize(double threshold, size_t max, bool farthest_first);
   void linearize(int32_t factor);
@@ -33,7 +35,7 @@ class TreeJournal {
   void mark_relinearized();  // those that were put back included
 
   bool idle() const { return touched_.empty() && relinearized_.empty() && fresh_.empty(); }
-  // Factors were removed or weighed: done in one go, so that it can be undone.
+  // Factors were removed, weighed or let go: done in one go, so that it can be undone.
   bool indivisible() const { return indivisible_; }
   uint8_t marks(int32_t variable) const {
     const auto v = static_cast<size_t>(variable);
@@ -41,6 +43,7 @@ class TreeJournal {
   }
   const std::vector<int32_t>& fresh() const { return fresh_; }  // variables not in the tree yet
   const std::vector<int32_t>& loose() const { return loose_; }  // factors not in the tree yet
+  const std::vector<int32_t>& taken_back() const { return taken_back_; }
   const std::vector<int32_t>& touched() const { return touched_; }
   const std::vector<int32_t>& relinearized() const { return relinearized_; }
   const std::vector<int32_t>& put_back() const { return put_back_; }
@@ -72,7 +75,7 @@ class TreeJournal {
   std::vector<uint8_t> marks_;           // (variables); shorter where none was marked
   std::vector<int32_t> touched_;         // by new, removed or weighed factors
   std::vector<int32_t> relinearized_;
-  std::vector<int32_t> fresh_, loose_, removed_;
+  std::vector<int32_t> fresh_, loose_, removed_, let_go_, taken_back_;
   std::vector<SavedVariable> saved_;
   std::vector<int32_t> old_factors_;     // linearised again
   std::vector<double> old_blocks_;       // theirs, one after another

@@ -92,6 +92,7 @@ void TreeSteps::carry_down(std::vector<int32_t>& stack, size_t max) {
     stack.pop_back();
     if (!stack.empty()) prefetch(cliques[stack.back()]);  // comes while this one is computed
     if (!due(cliques[at])) continue;
+    if (const int32_t child = cliques[at].child; child >= 0) prefetch(cliques[child]);
     solve_clique(at);
     cliques.each_child(at, [&](int32_t child) {
       __builtin_prefetch(&cliques[child]);

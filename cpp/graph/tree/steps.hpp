@@ -39,6 +39,7 @@ class TreeSteps {
   size_t finish();  // all that was deferred; returns how many variables
 
   size_t deferred() const { return deferred_.size(); }
+  uint32_t solves() const { return solve_number_; }
   const std::vector<int32_t>& made() const { return made_; }
   // Packed values, one after another; never by an old step.
   std::vector<double> estimate(std::span<const int32_t> variables);

@@ -70,7 +70,7 @@ void TreeTop::detach(TreeJournal& journal) {
   journal.mark_relinearized();
   for (const int32_t v : journal.touched()) mark_up(store_.variables.clique_of(v));
   auto& [affected, orphans, factors] = part_;
-  const auto stays = [&](int32_t f) { return store_.factors[f].removed == 0; };
+  const auto stays = [&](int32_t f) { return store_.factors[f].speaks(); };
   std::erase_if(orphans, [&](int32_t c) { return marked(c); });  // left over from the last slice, like open factors
   std::erase_if(factors, [&](int32_t f) { return !stays(f); });
   std::sort(taken_.begin(), taken_.end());  // not the order of discovery: the result does not depend on it
@@ -86,7 +86,8 @@ void TreeTop::detach(TreeJournal& journal) {
   for (const int32_t v : journal.fresh())
     if (!store_.variables.held(v)) affected.push_back(v);
   std::sort(affected.begin(), affected.end());
-  std::copy_if(journal.loose().begin(), journal.loose().end(), std::back_inserter(factors), stays);
+  for (const std::vector<int32_t>* list : {&journal.loose(), &journal.taken_back()})
+    std::copy_if(list->begin(), list->end(), std::back_inserter(factors), stays);
   std::sort(factors.begin(), factors.end());
   number();
   if (journal.relinearized().empty()) return;

@@ -109,6 +109,12 @@ void TreeVariables::restore(const SavedVariable& saved) {
   std::copy(saved.delta.begin(), saved.delta.end(), delta_.begin() + delta_at_[at(saved.variable)]);
 }
 
+double TreeVariables::longest_fluid() const {
+  double longest = 0.0;
+  for (const int32_t v : fluid_) longest = std::max(longest, longest_element(v));
+  return longest;
+}
+
 void TreeVariables::set_fluid(std::vector<int32_t> fluid) {
   for (const int32_t v : fluid_) fluid_flag_[at(v)] = 0;
   fluid_ = std::move(fluid);

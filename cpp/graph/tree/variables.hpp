@@ -60,6 +60,7 @@ class TreeVariables {
 
   // Candidates for relinearisation.
   const std::vector<int32_t>& fluid() const { return fluid_; }
+  double longest_fluid() const;  // element of their steps
   void set_fluid(std::vector<int32_t> fluid);
   void add_fluid(int32_t variable);
   void find_fluid(double threshold);  // looks through all variables

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from heliograph.graph import FactorGraph, ISAM2Settings, Values
+    from heliograph.graph import FactorGraph, ISAM2Settings, OutlierRejection, Values
     from heliograph.graph.incremental.replay import Replay
 
 __all__ = ["Incremental", "solve_incrementally"]
@@ -34,8 +34,12 @@ class Incremental:
     facts: dict[str, Any]
 
 
-def solve_incrementally(graph: FactorGraph, values: Values, settings: ISAM2Settings) -> Incremental:
+def solve_incrementally(
+    graph: FactorGraph, values: Values, settings: ISAM2Settings, outliers: OutlierRejection | None = None
+) -> Incremental:
     """Replay a graph; the values are its odometry, of which only those of held poses and of priors are used.
+
+    With `outliers`, chi2, cost and degrees of freedom at the end are those of the factors that count.
 
     Raises
     ------
@@ -49,19 +53,25 @@ def solve_incrementally(graph: FactorGraph, values: Values, settings: ISAM2Setti
     steps = list(replay_steps(graph, values))
     odometry = Problem(graph, values)
     initial = odometry.cost()
-    smoother = ISAM2(settings)
+    smoother = ISAM2(settings, outliers=outliers)
     gc.collect()
     gc.freeze()  # the prepared steps are no garbage: the collector need not look through them during the replay
     try:
         done = replay(steps, smoother)
     finally:
         gc.unfreeze()
-    last = Problem(graph, smoother.estimate()).cost()
+    last = Problem(graph, smoother.estimate()).cost().chi2
     begin = time.perf_counter()
-    finish = smoother.update(iterate=_STEP_TOLERANCE)
+    finish = smoother.update(iterate=_STEP_TOLERANCE, costs=outliers is not None)
     finish_seconds = time.perf_counter() - begin
     found = smoother.estimate()
     final = Problem(graph, found).cost()
+    chi2, cost, rows, facts = final.chi2, final.cost, odometry.rows, {}
+    if outliers is not None:
+        chi2 = cost = finish.cost_after or 0.0
+        last = finish.cost_before or 0.0
+        facts["let_go"] = [smoother.keys_of(number).tolist() for number in smoother.let_go.tolist()]
+        rows -= smoother.rows_let_go
     update_seconds = float(sum(done.seconds))
     return Incremental(
         values=found,
@@ -69,18 +79,19 @@ def solve_incrementally(graph: FactorGraph, values: Values, settings: ISAM2Setti
         start="odometry on the current estimate",
         iterations=finish.iterations,
         initial_chi2=initial.chi2,
-        chi2=final.chi2,
-        cost=final.cost,
-        degrees_of_freedom=odometry.rows - odometry.free_scalars,
+        chi2=chi2,
+        cost=cost,
+        degrees_of_freedom=rows - odometry.free_scalars,
         seconds={"updates": update_seconds, "finish": finish_seconds, "total": update_seconds + finish_seconds},
         facts={
             **_timing(done),
             "relinearize_skip": settings.relinearize_skip,
             "relinearize_threshold": settings.relinearize_threshold,
             "wildfire": settings.wildfire,
-            "last_update_chi2": last.chi2,
+            "last_update_chi2": last,
             "finish_seconds": finish_seconds,
             "bytes_per_pose": smoother.bytes / len(steps),
+            **facts,
         },
     )
 

@@ -35,6 +35,10 @@ _KERNELS = {
 }
 
 
+_SHOWN = 8  # edges that are listed
+_GNC = ("gnc", "gnc-tls", "gnc-gm")  # graduated: false loops are let go
+
+
 class Solver(str, Enum):
     """Solvers."""
 
@@ -107,7 +111,11 @@ def solve(
     ] = Init.auto,
     robust: Annotated[
         str | None,
-        typer.Option("--robust", metavar="NAME[:WIDTH]", help=f"Kernel of relative poses: {', '.join(_KERNELS)}."),
+        typer.Option(
+            "--robust",
+            metavar="NAME[:WIDTH]",
+            help=f"Relative poses: a kernel ({', '.join(_KERNELS)}), or gnc[-tls|-gm].",
+        ),
     ] = None,
     tolerance: Annotated[
         float | None,
@@ -162,7 +170,8 @@ def _solved(request: _Request) -> dict[str, Any]:
     from heliograph.graph import ISAM2Settings
 
     solver, init = request.solver, request.init
-    kernel = None if request.robust is None else parse_robust(request.robust)
+    gnc = request.robust is not None and request.robust.partition(":")[0] in _GNC
+    kernel = None if request.robust is None or gnc else parse_robust(request.robust)
     for path in (request.output, request.plot):
         _check_folder(path)
     if solver is Solver.isam2:
@@ -173,7 +182,10 @@ def _solved(request: _Request) -> dict[str, Any]:
         print(f"note: {note}", file=sys.stderr)
     initial = "chordal" if init is Init.chordal else "auto"
     settings = ISAM2Settings(**request.steps)
-    solution = _minimise(task, solver, settings, request.limits, initial=initial, threads=request.threads)
+    if gnc:
+        solution: Solution | Incremental = _without_outliers(task, request, settings)
+    else:
+        solution = _minimise(task, solver, settings, request.limits, initial=initial, threads=request.threads)
     if request.json and init is not Init.chordal and solution.start != "given" and solver is not Solver.isam2:
         print(f"note: start: {solution.start}", file=sys.stderr)
     written = _write(task, solution, request.output, request.plot, title=request.graph.stem)
@@ -224,6 +236,25 @@ def _minimise(
     return minimise(task.graph, task.values, solver.value, initial=initial, settings=stop, threads=threads)
 
 
+def _without_outliers(task: _Task, request: _Request, settings: ISAM2Settings) -> Incremental:
+    """Solve with false loops let go: one pose at a time, or all at once."""
+    from heliograph.cli.incremental import solve_incrementally
+    from heliograph.cli.outliers import settings_of, solve_at_once
+    from heliograph.errors import ConfigError
+
+    name, probability = settings_of(request.robust or "")
+    if request.solver is Solver.isam2:
+        from heliograph.graph import OutlierRejection
+
+        if name == "gnc-gm":
+            raise ConfigError("--robust gnc-gm is for the other solvers: isam2 minimises a truncated cost (gnc)")
+        outliers = OutlierRejection() if probability is None else OutlierRejection(probability=probability)
+        return solve_incrementally(task.graph, task.values, settings, outliers)
+    if request.solver is not Solver.lm or request.limits:
+        raise ConfigError(f"--robust {name} takes --solver lm without limits, or --solver isam2")
+    return solve_at_once(task.graph, task.values, name, probability, request.threads)
+
+
 def parse_robust(text: str) -> Kernel:
     """Return the kernel of ``NAME`` or ``NAME:WIDTH``.
 
@@ -238,7 +269,7 @@ def parse_robust(text: str) -> Kernel:
     name, _, width = text.partition(":")
     if name not in _KERNELS:
         raise ConfigError(
-            f"--robust knows no kernel '{name}'; there are {', '.join(_KERNELS)}{closest(name, _KERNELS)}"
+            f"--robust knows no '{name}'; there are {', '.join((*_KERNELS, *_GNC))}{closest(name, (*_KERNELS, *_GNC))}"
         )
     cls, default = _KERNELS[name]
     try:
@@ -380,7 +411,8 @@ def _lines(facts: dict[str, Any]) -> list[str]:
         f"{facts['poses']} poses in {where}{points}, {facts['edges']} edges, {facts['held']} held",
         f"start: {facts['init'] if facts['start'] == 'given' else facts['start']}",
         f"chi2 {facts['initial_chi2']:.6g} -> {facts['final_chi2']:.6g}{per_dof}{robust}",
-        f"{facts['iterations']} iterations of {_WORDS[facts['solver']]} in {facts['solve_seconds']:.3f} s ({stages})",
+        f"{facts['iterations']} iterations of {_WORDS[facts['solver']]} in {facts['solve_seconds']:.3f} s"
+        + (f" ({stages})" if stages else ""),
     ]
     if facts["solver"] == "isam2":
         lines.append(
@@ -388,6 +420,10 @@ def _lines(facts: dict[str, Any]) -> list[str]:
             f"{facts['p99_ms']:.3f} for 99 %, {facts['max_ms']:.3f} at most; "
             f"chi2 {facts['last_update_chi2']:.6g} after the last; {facts['bytes_per_pose']:.0f} bytes a pose"
         )
+    if "let_go" in facts:
+        pairs = [f"{i}-{j}" for i, j in facts["let_go"]]
+        rest = f" and {len(pairs) - _SHOWN} more" if len(pairs) > _SHOWN else ""
+        lines.append(f"let go: {len(pairs)} edges" + (f": {', '.join(pairs[:_SHOWN])}{rest}" if pairs else ""))
     if facts["written"]:
         lines.append(f"written: {', '.join(facts['written'])}")
     lines.append(f"status: {facts['status']}")

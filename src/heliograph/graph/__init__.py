@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from heliograph.graph.incremental.cliques import CliqueRecord, plot_cliques, tree_to_dot
     from heliograph.graph.incremental.fixed_lag import FixedLagSmoother
     from heliograph.graph.incremental.isam2 import ISAM2
-    from heliograph.graph.incremental.settings import ISAM2Settings
+    from heliograph.graph.incremental.settings import ISAM2Settings, OutlierRejection
     from heliograph.graph.incremental.update_result import UpdateResult
     from heliograph.graph.model.factor import Factor
     from heliograph.graph.model.factor_graph import FactorGraph
@@ -71,6 +71,7 @@ __all__ = [
     "Landmark",
     "LinearMotion",
     "Marginals",
+    "OutlierRejection",
     "PartialPrior",
     "Plane",
     "PointToPlane",
@@ -122,7 +123,7 @@ _HOMES = {
     "incremental.cliques": "CliqueRecord plot_cliques tree_to_dot",
     "incremental.fixed_lag": "FixedLagSmoother",
     "incremental.isam2": "ISAM2",
-    "incremental.settings": "ISAM2Settings",
+    "incremental.settings": "ISAM2Settings OutlierRejection",
     "incremental.update_result": "UpdateResult",
     "model.factor": "Factor",
     "model.factor_graph": "FactorGraph",

@@ -157,6 +157,22 @@ def test_toro_and_archives_are_read_and_written(solve, rng, tmp_path):
     assert len(load_graph(tmp_path / "a.npz")[0]) == len(world.i)
 
 
+@pytest.mark.parametrize("solver", ["isam2", "lm"])
+def test_false_loops_are_let_go_and_listed(solve, rng, tmp_path, solver):
+    world = manhattan(150, rng)
+    spoilt = with_false_loops(world, 0.3, rng)
+    write_g2o(tmp_path / "spoilt.g2o", spoilt.file)
+    write_g2o(tmp_path / "clean.g2o", world.file)
+    found, _ = facts(solve("spoilt.g2o", "--solver", solver, "--robust", "gnc", "--json"))
+    clean, _ = facts(solve("clean.g2o", "--json"))
+    false = {tuple(pair) for pair in zip(spoilt.i[spoilt.false].tolist(), spoilt.j[spoilt.false].tolist(), strict=True)}
+    assert false <= {tuple(pair) for pair in found["let_go"]}
+    assert len(found["let_go"]) <= len(false) + 3
+    assert found["status"] == "converged"
+    assert found["final_chi2"] <= 1.001 * clean["final_chi2"] and found["chi2_per_dof"] < 1.3
+    assert f"let go: {len(found['let_go'])} edges: " in solve("spoilt.g2o", "--solver", solver, "--robust", "gnc")[1]
+
+
 def test_robust_kernel_holds_false_loops_off(solve, rng, tmp_path):
     world = manhattan(120, rng, sigmas=(0.005, 0.01))
     file = with_false_loops(world, 0.1, rng).file
@@ -200,6 +216,10 @@ def test_plot_is_written(solve, city, tmp_path):
         (["none.npz"], "cannot be read"),
         (["city.g2o", "--robust", "hubert"], "did you mean 'huber'"),
         (["city.g2o", "--robust", "huber:x"], "the width 'x'"),
+        (["city.g2o", "--robust", "gncc"], "did you mean 'gnc'"),
+        (["city.g2o", "--robust", "gnc:7"], "'7' is no probability"),
+        (["city.g2o", "--robust", "gnc", "--solver", "gn"], "takes --solver lm"),
+        (["city.g2o", "--robust", "gnc-gm", "--solver", "isam2"], "truncated cost"),
         (["city.g2o", "--robust", "huber:-1"], "the width '-1'"),
         (["city.g2o", "--solver", "newton"], "newton"),
         (["city.g2o", "--solver", "isam2", "--init", "chordal"], "isam2 starts poses"),

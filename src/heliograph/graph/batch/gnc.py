@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike
 from heliograph.arrays import Array, Mask, freeze
 from heliograph.chi_square import chi_square_quantile
 from heliograph.config_checks import check_choice, check_range
-from heliograph.errors import GraphError
 from heliograph.graph.batch.gnc_rounds import Rounds
 from heliograph.graph.model.factor_graph import FactorGraph
-from heliograph.graph.model.factors import Between
+from heliograph.graph.model.outliers import trusted_factors
 from heliograph.graph.model.values import Values
 
 __all__ = ["RobustSettings", "RobustSolution", "solve_robust"]
@@ -148,8 +147,8 @@ def solve_robust(
         The graph does not fit the values, or a number in `trusted` is not a factor's.
     """
     settings = settings or RobustSettings()
-    known = _trusted(graph, trusted)
-    bound, median = _quantiles(graph, settings.probability), _quantiles(graph, 0.5)
+    known = trusted_factors(graph, trusted)
+    bound, median = row_quantiles(graph, settings.probability), row_quantiles(graph, 0.5)
     run = Rounds(graph, values, known, settings.steps_per_round, settings.max_rounds, threads)
     run.trusted_only()
     borne = run.borne_out(bound)
@@ -177,32 +176,8 @@ def solve_robust(
     )
 
 
-def _quantiles(graph: FactorGraph, probability: float) -> Array:
+def row_quantiles(graph: FactorGraph, probability: float) -> Array:
     """Return the chi-square quantile of every factor's rows, (N,)."""
     rows = np.concatenate([np.full(len(a.record), a.record.rows) for a in graph.groups()] or [np.zeros(0, np.int64)])
     kinds, which = np.unique(rows, return_inverse=True)
     return np.array([chi_square_quantile(probability, int(r)) for r in kinds], dtype=np.float64)[which]
-
-
-def _trusted(graph: FactorGraph, trusted: ArrayLike | None) -> Mask:
-    """Return which factors are trusted, (N,)."""
-    known = np.zeros(len(graph), dtype=bool)
-    if trusted is None:
-        for added in graph.groups():
-            keys, span = added.record.keys, slice(added.first, added.first + len(added.record))
-            apart = isinstance(added.record, Between)
-            known[span] = np.abs(keys[:, 0] - keys[:, -1]) == 1 if apart else True
-        return known
-    given = np.asarray(trusted)
-    if given.dtype == np.bool_:
-        if given.shape != known.shape:
-            raise GraphError(f"trusted: a mask of shape {given.shape} for {len(graph)} factors")
-        known[:] = given
-        return known
-    numbers = given.astype(np.int64).reshape(-1)
-    if len(numbers) and (numbers.min() < 0 or numbers.max() >= len(graph)):
-        raise GraphError(
-            f"trusted: factors {numbers.min()} to {numbers.max()}, but the graph has 0 to {len(graph) - 1}"
-        )
-    known[numbers] = True
-    return known

@@ -13,6 +13,7 @@ from heliograph.graph.batch.outcome import Iteration
 from heliograph.graph.batch.support import Stretch, agreeing
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.families import FAMILIES, Family
+from heliograph.graph.model.outliers import geman_mcclure_weight, truncated_weight
 from heliograph.graph.model.subgraph import subgraph
 from heliograph.graph.model.values import Values
 from heliograph.graph.problem.linear import connected
@@ -21,7 +22,7 @@ from heliograph.graph.problem.resolve import ResolvedGroup
 from heliograph.graph.problem.settings import SolverSettings
 from heliograph.lie import SE2, SE3, se2, se3
 
-__all__ = ["Rounds", "geman_mcclure_weight", "truncated_weight"]
+__all__ = ["Rounds"]
 
 
 _NEGLIGIBLE = 1e-7  # weight below which a doubtful factor is left out: random pairs would fill the elimination up
@@ -29,28 +30,6 @@ _BINARY = 1e-6
 _SETTLED = 1e-3  # relative change of the weighted cost
 _CAUTION = 1e-6  # damping of the few steps a round: what is down-weighted must not fling anything far
 _BETWEEN = 2
-
-
-def truncated_weight(squared: Array, mu: float) -> Array:
-    """Return the weights of truncated least squares for residuals in units of their threshold ([1]_ eq. 14).
-
-    References
-    ----------
-    .. [1] H. Yang et al., "Graduated non-convexity for robust spatial perception", RA-L 2020.
-    """
-    low, high = mu / (mu + 1.0), (mu + 1.0) / mu
-    between = np.sqrt(mu * (mu + 1.0) / np.maximum(squared, 1e-100)) - mu
-    return np.clip(np.where(squared >= high, 0.0, np.where(squared <= low, 1.0, between)), 0.0, 1.0)
-
-
-def geman_mcclure_weight(squared: Array, mu: float) -> Array:
-    """Return the weights of Geman-McClure for residuals in units of their threshold ([1]_ eq. 12).
-
-    References
-    ----------
-    .. [1] H. Yang et al., "Graduated non-convexity for robust spatial perception", RA-L 2020.
-    """
-    return np.asarray((mu / (mu + squared)) ** 2)
 
 
 class Rounds:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from heliograph.atomic import atomic_path
 from heliograph.errors import FormatError, GraphError
-from heliograph.graph.files.file_factors import DirectionPrior, KnownPlane, PlaneSighting
+from heliograph.graph.files.file_factors import PlaneSighting
 from heliograph.graph.model import factors as built_in
 from heliograph.graph.model import kernels, noise, surfaces
 from heliograph.graph.model.factor import Factor
@@ -108,7 +108,7 @@ def load_graph(path: Path | str, *, factors: Iterable[type[FactorRecord]] = ()) 
         It holds factors whose class was not given, or does not fit.
     """
     path = Path(path)
-    known: list[type[FactorRecord]] = [DirectionPrior, KnownPlane, PlaneSighting, *factors]
+    known: list[type[FactorRecord]] = [PlaneSighting, *factors]
     own = {cls.__name__: cls for cls in known}
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:

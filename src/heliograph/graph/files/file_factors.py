@@ -14,28 +14,10 @@ from heliograph.graph.model.factors import Bearing, Between, Landmark, Position,
 from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.noise import Information
 from heliograph.graph.model.records import FactorRecord
-from heliograph.lie import SE2, SE3, SO2, so3
+from heliograph.graph.model.surfaces import Attitude, Plane
+from heliograph.lie import S2, SE2, SE3, SO2, s2
 
-__all__ = ["DirectionPrior", "KnownPlane", "PlaneSighting", "planes_of", "records_of"]
-
-
-class DirectionPrior(Factor):
-    """A direction of the world is measured by a body: ``R_world_i' d_world - d_i``, as hdl_graph_slam's PRIORVEC."""
-
-    variables = (SE3,)
-    rows = 3
-
-    @staticmethod
-    def residual(T_world_i: Array, d_world: Array, d_i: Array) -> Array:
-        """Return (N, 3) from poses (N, 4, 4) and unit vectors (N, 3)."""
-        return np.asarray(np.einsum("nab,na->nb", T_world_i[:, :3, :3], d_world) - d_i)
-
-    @staticmethod
-    def jacobians(T_world_i: Array, d_world: Array, d_i: Array) -> tuple[Array]:
-        """Return (N, 3, 6) by right perturbation, rotation first."""
-        J = np.zeros((len(d_i), 3, 6))
-        J[:, :, :3] = so3.hat(np.einsum("nab,na->nb", T_world_i[:, :3, :3], d_world))
-        return (J,)
+__all__ = ["PlaneSighting", "planes_of", "records_of"]
 
 
 class PlaneSighting(Factor):
@@ -56,31 +38,14 @@ class PlaneSighting(Factor):
         return _plane_residual(T_world_i, np.concatenate([normal, -away], axis=1), plane_i)
 
 
-class KnownPlane(Factor):
-    """A plane that is known in the world is seen from a pose; residual as that of `PlaneSighting`."""
-
-    variables = (SE3,)
-    rows = 3
-
-    @staticmethod
-    def residual(T_world_i: Array, plane_world: Array, plane_i: Array) -> Array:
-        """Return (N, 3) from poses (N, 4, 4) and planes (N, 4) of unit normals in the world and as seen."""
-        return _plane_residual(T_world_i, plane_world, plane_i)
-
-
 def _plane_residual(T_world_i: Array, plane_world: Array, plane_i: Array) -> Array:
     normal = np.einsum("nab,na->nb", T_world_i[:, :3, :3], plane_world[:, :3])
     offset = plane_world[:, 3] + np.einsum("na,na->n", plane_world[:, :3], T_world_i[:, :3, 3])
     measured = plane_i[:, :3]
     side = np.where(np.einsum("na,na->n", normal, measured) < 0.0, -1.0, 1.0)
     normal, offset = side[:, None] * normal, side * offset
-    azimuth = np.arctan2(measured[:, 1], measured[:, 0])
-    across = np.hypot(measured[:, 0], measured[:, 1])
-    c, s = np.cos(azimuth), np.sin(azimuth)
-    east = np.stack([-s, c, np.zeros_like(s)], axis=1)
-    up = np.stack([-measured[:, 2] * c, -measured[:, 2] * s, across], axis=1)
     # The angle between the normals, along the measured one's tangent plane: smooth for every direction, unlike angles.
-    along = np.stack([np.einsum("na,na->n", normal, east), np.einsum("na,na->n", normal, up)], axis=1)
+    along = np.einsum("nab,na->nb", _east_and_up(measured), normal)
     sine = np.linalg.norm(along, axis=1)
     angle = np.arctan2(sine, np.einsum("na,na->n", normal, measured))
     scale = np.where(sine > 1e-12, angle / np.where(sine > 1e-12, sine, 1.0), 1.0)
@@ -124,7 +89,7 @@ def records_of(
         T, information = at_poses(table, offsets)
         return [Prior(i, group(T), Information(_shared(information)))]
     if role == "direction_prior":
-        return [DirectionPrior(i, data=_directions(table), noise=noise)]
+        return [_level(table)]
     if role == "plane_sighting":
         return _sightings(table, planes, kernel)
     missing = table.kind.dimension - table.kind.numbers
@@ -134,14 +99,16 @@ def records_of(
     return [Position(i, numbers, Information(np.pad(table.information, ((0, 0), (0, missing), (0, missing)))))]
 
 
-def _directions(table: Table) -> tuple[Array, Array]:
-    """Return unit vectors in the world and as measured by the body, (N, 3) each."""
-    first, second = table.numbers[:, :3], table.numbers[:, 3:]
-    first = first / np.linalg.norm(first, axis=1, keepdims=True)
-    second = second / np.linalg.norm(second, axis=1, keepdims=True)
-    if table.kind.tag == "EDGE_SE3_GRAVITY":  # up in the body comes first, then gravity in the world
-        return second, -first
-    return first, second
+def _level(table: Table) -> Attitude:
+    """Return measured directions, whose information is that of R' d - m, as angles: to first order it lies across m."""
+    world, seen = (directions / np.linalg.norm(directions, axis=1, keepdims=True) for directions in _halves(table))
+    across = s2.basis(seen)
+    information = np.swapaxes(across, 1, 2) @ table.information @ across
+    return Attitude(table.ids[:, 0], S2(seen), Information(_shared(information)), world=S2(world))
+
+
+def _halves(table: Table) -> tuple[Array, Array]:
+    return table.numbers[:, :3], table.numbers[:, 3:]
 
 
 def _sightings(table: Table, planes: tuple[Indices, Array], kernel: Kernel | None) -> list[FactorRecord]:
@@ -162,9 +129,32 @@ def _sightings(table: Table, planes: tuple[Indices, Array], kernel: Kernel | Non
         )
     if fixed.any():
         at = np.searchsorted(ids, table.ids[fixed, 1])
-        noise = Information(table.information[fixed])
-        out.append(KnownPlane(table.ids[fixed, 0], data=(known[at], seen[fixed]), noise=noise, kernel=kernel))
+        out.append(_known_planes(table.ids[fixed, 0], seen[fixed], known[at], table.information[fixed], kernel))
     return out
+
+
+def _known_planes(keys: Indices, seen: Array, known: Array, information: Array, kernel: Kernel | None) -> Plane:
+    """Return sightings of planes that are known, with information for azimuth, elevation and distance as g2o has them.
+
+    Azimuth and elevation are those of the measured normal seen from the estimated one; a `Plane` has the same angle
+    along another basis, and the other way round. A distance is that along the normal, -d of a x + b y + c z + d = 0.
+    """
+    normal = seen[:, :3]
+    east_and_up = _east_and_up(normal)
+    turn = np.zeros((len(keys), 3, 3))
+    turn[:, :2, :2] = -np.swapaxes(east_and_up, 1, 2) @ s2.basis(normal)
+    turn[:, 2, 2] = 1.0
+    noise = Information(_shared(np.swapaxes(turn, 1, 2) @ information @ turn))
+    return Plane(keys, S2(normal), -seen[:, 3], noise, plane=(S2(known[:, :3]), -known[:, 3]), kernel=kernel)
+
+
+def _east_and_up(normal: Array) -> Array:
+    """Return the directions of growing azimuth and elevation at unit vectors (N, 3), as columns (N, 3, 2)."""
+    azimuth, across = np.arctan2(normal[:, 1], normal[:, 0]), np.hypot(normal[:, 0], normal[:, 1])
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    east = np.stack([-s, c, np.zeros_like(s)], axis=1)
+    up = np.stack([-normal[:, 2] * c, -normal[:, 2] * s, across], axis=1)
+    return np.stack([east, up], axis=2)
 
 
 def _shared(information: Array) -> Array:

@@ -28,6 +28,14 @@ _TO_G2O = {"VERTEX2": "VERTEX_SE2", "EDGE2": "EDGE_SE2", "VERTEX3": "VERTEX_SE3:
 _TO_TORO = {g2o: toro for toro, g2o in _TO_G2O.items()}
 _FIX_PER_LINE = 20
 _SPACED = re.compile(rb"(?m)^([ \t]*(?:VERTEX|EDGE)_SE3)[ \t]*:[ \t]*QUAT(?=[ \t])")
+# Tags that are seen in the field without one meaning. RTAB-Map has a class of this name, which neither reads nor writes
+# and leaves such links out of its files; it measures `R_pitch R_roll (-up_body) - gravity_world`, what descends from it
+# `R' world - body`.
+_UNSETTLED = {
+    "EDGE_SE3_GRAVITY": ": its numbers mean one thing in one program and another in the next; write "
+    "EDGE_SE3_PRIORVEC, the id, a direction of the world, the same as the body sees it, and the information; or pass "
+    "over it (--skip-unknown)",
+}
 _NEAR = 0.85  # likeness of an unknown tag and a known one from which one is suggested for the other
 
 
@@ -219,6 +227,8 @@ def _uncommented(words: list[str]) -> list[str]:
 
 def _near(tag: str) -> str:
     """Return what a message adds to an unknown tag: the one that it may be meant for, or the way on."""
+    if tag in _UNSETTLED:
+        return _UNSETTLED[tag]
     digits = re.sub(r"\D", "", tag)
     longer = [known for known in KINDS if known.startswith(f"{tag}:")]
     alike = [known for known in KINDS if re.sub(r"\D", "", known) == digits]

@@ -166,7 +166,6 @@ KINDS: dict[str, RowKind] = {
         _kind("EDGE_SE3_PRIORXYZ", "position_prior", "point", 1, _POINT3),
         _kind("EDGE_SE3_PRIORXY", "position_prior", "point", 1, _POINT2, dimension=3, coordinates=2),
         _kind("EDGE_SE3_PRIORVEC", "direction_prior", "directions", 1, _POINT3),
-        _kind("EDGE_SE3_GRAVITY", "direction_prior", "directions", 1, _POINT3),
         _kind("VERTEX_PLANE", "plane", "plane", 1),
         _kind("EDGE_SE3_PLANE", "plane_sighting", "plane", 2, _POINT3),
         _kind("VERTEX2", "pose", "xy_theta", 1),

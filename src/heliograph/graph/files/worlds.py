@@ -233,7 +233,8 @@ def with_false_loops(world: World, fraction: float, rng: np.random.Generator) ->
     fraction : float
         How many, as a part of its loops: 0.5 adds half as many again.
     rng : numpy Generator
-        Where chance comes from. Rotations are uniform, translations as far as the world's poses are apart.
+        Where chance comes from. Rotations are uniform, translations as far as the world's poses are apart; where each
+        relative pose has its own information, a false one claims that of a loop.
     """
     count = round(fraction * world.loops)
     n = len(world.truth)
@@ -244,8 +245,13 @@ def with_false_loops(world: World, fraction: float, rng: np.random.Generator) ->
         drawn: Array = se2.from_rotation_translation(so2.exp(rng.uniform(-np.pi, np.pi, size=(count, 1))), t)
     else:
         drawn = se3.from_rotation_translation(so3.from_quaternion(rng.normal(size=(count, 4))), t)
+    information = world.information
+    if information.ndim == 3 and count:
+        claimed = rng.integers(n - 1 if world.loops else 0, len(information), size=count)
+        information = np.concatenate([information, information[claimed]])
     return replace(
         world,
+        information=information,
         i=np.concatenate([world.i, np.minimum(first, second)]),
         j=np.concatenate([world.j, np.maximum(first, second)]),
         T_i_j=type(world.T_i_j)(np.concatenate([world.T_i_j.matrix, drawn])),

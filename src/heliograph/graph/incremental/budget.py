@@ -19,6 +19,7 @@ GRANTS = 64  # updates in which a whole limit is granted for what was left
 SPENDINGS = 4  # a limit is spent in this many parts: less is saved up until it is worth an elimination
 MAX_REPEATED_WORK = 2e6  # multiplications of an elimination that is worth repeating within the same update
 MAX_REPEATED_STEPS = 5000  # variables whose step it computed
+FAR = 2.0  # thresholds: a step longer than this is worth a pass of its own, a shorter one waits for the next update
 
 
 class Budget(NamedTuple):  # one is made in every update, and a tuple is made faster than a frozen dataclass
@@ -94,6 +95,8 @@ class _Tree(Protocol):
     def waiting(self) -> int: ...
     @property
     def fluid(self) -> int: ...
+    @property
+    def longest_fluid(self) -> float: ...
     @property
     def deferred(self) -> int: ...
 
@@ -192,13 +195,16 @@ class Policy:
     def repeats(self, tree: _Tree, work: float, solved: int) -> bool:
         """Tell whether a pass of some work [multiplications] and steps [variables] is repeated within its update.
 
-        A loop has moved variables far: where that was cheap, a second pass leaves nothing for the next update. With a
-        threshold of zero something is always left, and an update is one step of Gauss-Newton.
+        A loop has moved variables far: where that was cheap, a second pass leaves nothing for the next update. What is
+        little beyond the threshold is little worse than what is within it, and the next update takes it along for the
+        price of its own elimination. With a threshold of zero something is always left, and an update is one step of
+        Gauss-Newton.
         """
         settings = self.settings
         due = (self.updates + 1) % settings.relinearize_skip == 0 and 0.0 < settings.relinearize_threshold < np.inf
         light = work <= MAX_REPEATED_WORK and solved <= MAX_REPEATED_STEPS
-        return bool(due and light and tree.fluid and not tree.deferred)
+        far = FAR * settings.relinearize_threshold
+        return bool(due and light and tree.fluid and not tree.deferred and tree.longest_fluid > far)
 
     def spend(self, budget: Budget, relinearized: int, caught_up: int) -> None:
         """Take off what a pass did: variables relinearised, and variables whose step had been deferred."""

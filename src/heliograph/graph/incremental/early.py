@@ -23,7 +23,7 @@ class EarlyVariables:
         self.values = Values()
         self._next: Values | None = None  # after the update that is under way
 
-    def enter(self, graph: FactorGraph, values: Values, keys: list[int]) -> Values:
+    def enter(self, graph: FactorGraph, values: Values, keys: list[int], named_by: list[list[int]]) -> Values:
         """Return which variables an update brings into the tree: those that its factors, or what it holds, name.
 
         Parameters
@@ -34,14 +34,14 @@ class EarlyVariables:
             New variables; those that nothing names wait here.
         keys : list of int
             Keys of the new variables.
+        named_by : list of list of int
+            Keys that each record of the graph names.
         """
         self._next = None
         waiting_already = len(self.values) > 0
         if not keys and not waiting_already:
             return values
-        named: set[int] = set()
-        for added in graph.groups():
-            named.update(added.record.keys.ravel().tolist())
+        named = set().union(*named_by)
         if not waiting_already and named.issuperset(keys):  # nearly always
             return values
         named.update(graph.fixed.tolist())

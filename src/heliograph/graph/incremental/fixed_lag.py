@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from heliograph.arrays import Array
 from heliograph.errors import GraphError
 from heliograph.graph.incremental.isam2 import ISAM2
-from heliograph.graph.incremental.settings import ISAM2Settings
+from heliograph.graph.incremental.settings import ISAM2Settings, OutlierRejection
 from heliograph.graph.incremental.update_result import UpdateResult
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.families import Value
@@ -31,6 +31,9 @@ class FixedLagSmoother:
         (say seconds).
     settings : ISAM2Settings, optional
         Thresholds.
+    outliers : OutlierRejection, optional
+        As `ISAM2` takes it. What is let go when one of its variables leaves is gone for good, and what counts then is
+        part of the summary for good.
 
     Raises
     ------
@@ -44,11 +47,13 @@ class FixedLagSmoother:
     covariances are those of the smoother that keeps everything.
     """
 
-    def __init__(self, lag: float, settings: ISAM2Settings | None = None) -> None:
+    def __init__(
+        self, lag: float, settings: ISAM2Settings | None = None, *, outliers: OutlierRejection | None = None
+    ) -> None:
         if not lag > 0.0:
             raise GraphError(f"lag={lag}: must be positive, in the unit of the stamps")
         self.lag = float(lag)
-        self.smoother = ISAM2(settings)
+        self.smoother = ISAM2(settings, outliers=outliers)
         self._stamps: dict[int, float] = {}
         self._oldest: list[tuple[float, int]] = []  # heap of (stamp, key); outdated entries are passed over
         self._newest = -np.inf
@@ -63,6 +68,7 @@ class FixedLagSmoother:
         remove_variables: ArrayLike = (),
         iterate: float | None = None,
         max_variables: int | None = None,
+        trusted: ArrayLike | None = None,
     ) -> UpdateResult:
         """Update as `ISAM2.update` does, then marginalise out what has become too old.
 
@@ -72,7 +78,7 @@ class FixedLagSmoother:
             New factors and variables.
         stamps : mapping of key to time, or (keys, times), optional
             Stamps of new variables, or later ones of variables that are to be kept longer. Finite.
-        remove, remove_variables, iterate, max_variables
+        remove, remove_variables, iterate, max_variables, trusted
             As `ISAM2.update` takes them. While variables wait to be eliminated nothing is marginalised out.
 
         Raises
@@ -88,6 +94,7 @@ class FixedLagSmoother:
             remove_variables=remove_variables,
             iterate=iterate,
             max_variables=max_variables,
+            trusted=trusted,
         )
         for key in as_keys(remove_variables).reshape(-1).tolist():
             self._stamps.pop(key, None)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from heliograph.arrays import Array, Keys
+from heliograph.arrays import Array, Keys, Mask
 from heliograph.errors import GraphError
 from heliograph.graph.incremental.budget import Budget, Policy
 from heliograph.graph.incremental.cliques import CliqueRecord, clique_records
-from heliograph.graph.incremental.settings import ISAM2Settings
+from heliograph.graph.incremental.rejection import Rejection, doubtful_factors
+from heliograph.graph.incremental.settings import ISAM2Settings, OutlierRejection
 from heliograph.graph.incremental.tree_archive import read_state, state_arrays, state_from, write_state
 from heliograph.graph.incremental.tree_state import TreeState
 from heliograph.graph.incremental.update_result import PassTally, UpdateResult
@@ -25,6 +27,8 @@ from heliograph.graph.model.values import Values
 
 __all__ = ["ISAM2"]
 
+FEW_MOVED = 16  # variables: an update that moved no more, such as a step of odometry, contradicts no loop
+
 
 class ISAM2:
     """A graph that grows, solved as it grows (Kaess et al., IJRR 2012).
@@ -33,10 +37,13 @@ class ISAM2:
     ----------
     settings : ISAM2Settings, optional
         Thresholds.
+    outliers : OutlierRejection, optional
+        Doubtful factors are let go where they contradict the others, and come back where they no longer do; without,
+        every factor counts.
 
     Examples
     --------
-    >>> smoother = ISAM2()
+    >>> smoother = ISAM2(outliers=OutlierRejection())
     >>> smoother.update(graph_of_the_first_pose, values_of_the_first_pose)
     >>> result = smoother.update(new_factors, new_values)
     >>> smoother.estimate(7)
@@ -46,10 +53,11 @@ class ISAM2:
     The result does not depend on chance or time: the same updates give the same bits.
     """
 
-    def __init__(self, settings: ISAM2Settings | None = None) -> None:
+    def __init__(self, settings: ISAM2Settings | None = None, *, outliers: OutlierRejection | None = None) -> None:
         self.settings = settings or ISAM2Settings()
         self._state = TreeState()
         self._policy = Policy(self.settings)
+        self._rejection = None if outliers is None else Rejection(outliers)
 
     def update(
         self,
@@ -62,6 +70,7 @@ class ISAM2:
         max_iterations: int = 50,
         costs: bool = False,
         max_variables: int | None = None,
+        trusted: ArrayLike | None = None,
     ) -> UpdateResult:
         """Add factors and variables, remove factors, and bring the estimate up to date.
 
@@ -87,6 +96,9 @@ class ISAM2:
             Meanwhile old variables keep their estimate and new ones the value they came with; steps are computed when
             the last part is done. An update without the bound does all that is pending. Not bounded: an update that
             removes or switches factors, and the ordering.
+        trusted : (K,) int or (N,) bool, optional
+            New factors that are never let go, where the smoother has `outliers`: numbers in `graph`, or a mask.
+            Default: all but the between factors of keys that do not follow each other.
 
         Raises
         ------
@@ -102,36 +114,82 @@ class ISAM2:
         """
         _check_bound(max_variables, iterate)
         state, policy, tally = self._state, self._policy, PassTally()
+        remove = self._with_let_go(remove, remove_variables)
         leaving = state.leaving(remove_variables, remove, graph)
-        added = state.add(graph, values)  # (1) new variables and factors, and factors that leave
+        doubtful = self._doubtful(graph, trusted)
+        if self._rejection is not None and (np.size(remove) or state.switching):
+            self._rejection.look_again()  # what contradicted a loop may be what goes
+        added = state.add(graph, values, doubtful)  # (1) new variables and factors, and factors that leave
         state.remove(remove, leaving)
         before = state.cost() if costs else None
-        tally.lap("add")
+        tally.brought()
         exact = iterate is not None or (graph is None and values is None and max_variables is None)
         for budget in self._budgets(tally, exact, iterate, max_iterations, max_variables):
-            relinearized = state.relinearize(budget)  # (2) long steps go into the linearisation points
-            tally.lap("relinearize")
-            state.detach()  # (3) the top of the tree is taken down
-            tally.lap("detach")
-            state.reorder()  # (4) constrained ordering: the newest last
-            tally.lap("reorder")
-            state.eliminate(budget, graph, values)  # (5) elimination, and (6) orphans are hung below
-            tally.lap("eliminate")
-            caught_up = state.solve(budget)  # (7) wildfire
-            tally.lap("solve")
-            policy.spend(budget, relinearized, caught_up)
-            tally.add(relinearized, state.native.counts())
+            self._pass(tally, budget, graph, values)
+        let_go, taken_back = self._settled(tally, graph, added, doubtful, remove, iterate, max_iterations)
         policy.end_update()
         if leaving is not None:
             self.marginalize(remove_variables)
         return tally.result(
             factors=added,
+            let_go=let_go,
+            taken_back=taken_back,
             converged=iterate is not None and state.converged(iterate),
             pending=state.pending(),
             deferred=state.native.deferred,
             cost_before=before,
             cost_after=state.cost() if costs else None,
         )
+
+    def _pass(
+        self, tally: PassTally, budget: Budget, graph: FactorGraph | None = None, values: Values | None = None
+    ) -> None:
+        """Do the steps (2) to (7) once."""
+        relinearized, caught_up = self._state.advance(budget, tally, graph, values)
+        self._policy.spend(budget, relinearized, caught_up)
+
+    def _doubtful(self, graph: FactorGraph | None, trusted: ArrayLike | None) -> Mask | None:
+        if self._rejection is None:
+            if trusted is not None:
+                raise GraphError("trusted: this smoother lets nothing go; make it with outliers=OutlierRejection()")
+            return None
+        return None if graph is None else doubtful_factors(graph, self._state, trusted)
+
+    def _settled(
+        self,
+        tally: PassTally,
+        graph: FactorGraph | None,
+        added: NDArray[np.int32],
+        doubtful: Mask | None,
+        removed: ArrayLike,
+        iterate: float | None,
+        max_iterations: int,
+    ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Decide about doubtful factors; return the numbers of those let go, and of those taken back."""
+        none: NDArray[np.int32] = np.zeros(0, dtype=np.int32)
+        if self._rejection is None:
+            return none, none
+        tally.begin_tests()
+        self._rejection.forget(removed)
+        if graph is not None and doubtful is not None:
+            self._rejection.enter(self._state, graph, doubtful, added)
+        elif iterate is None and tally.solved <= FEW_MOVED and self._rejection.since:
+            return none, none
+
+        def again() -> None:
+            for budget in self._budgets(tally, False, iterate, max_iterations, None):
+                self._pass(tally, budget)
+
+        found = self._rejection.settle(self._state, again)
+        tally.end_tests()
+        return found
+
+    def _with_let_go(self, remove: ArrayLike, variables: ArrayLike) -> ArrayLike:
+        """Return the factors to be removed with those that were let go and touch variables that leave."""
+        if self._rejection is None or not np.size(variables):
+            return remove
+        silent = self._rejection.let_go_at(self._state.numbers_in_tree(variables))
+        return np.union1d(np.asarray(remove, dtype=np.int32).reshape(-1), silent)
 
     def _budgets(
         self, tally: PassTally, exact: bool, iterate: float | None, max_iterations: int, max_variables: int | None
@@ -152,10 +210,8 @@ class ISAM2:
         state = self._state
         if state.native.waiting:
             budget = self._policy.budget(state.native)
-            state.detach()
-            state.reorder()
-            state.eliminate(budget, None, None)
-            self._policy.spend(budget, 0, state.solve(budget))
+            _, caught_up = state.advance(budget._replace(relinearize=0), PassTally(), None, None)
+            self._policy.spend(budget, 0, caught_up)
         state.native.finish_steps()
 
     def marginalize(self, keys: ArrayLike) -> None:
@@ -177,7 +233,12 @@ class ISAM2:
             A key is unknown, left before, or is held. Nothing has changed.
         """
         self.finish()
-        self._state.marginalize(keys)
+        silent = self._with_let_go((), keys)
+        if self._rejection is not None and np.size(silent):
+            self.update(remove=silent)
+        summarised = self._state.marginalize(keys)
+        if self._rejection is not None:
+            self._rejection.forget(summarised)
 
     def switch(self, factors: ArrayLike, on: bool) -> None:
         """Switch factors off, or on again; the next `update` brings it in. If that one is refused, all stays as it was.
@@ -195,6 +256,31 @@ class ISAM2:
             There is no such factor.
         """
         self._state.switch(factors, on)
+
+    @property
+    def let_go(self) -> NDArray[np.int32]:
+        """Numbers of the factors (K,) that are let go now, ascending; none without `outliers`."""
+        none: NDArray[np.int32] = np.zeros(0, dtype=np.int32)
+        return none if self._rejection is None else np.sort(self._rejection.numbers[~self._rejection.active])
+
+    @property
+    def rows_let_go(self) -> int:
+        """Rows of the residuals of the factors that are let go now."""
+        return 0 if self._rejection is None else int(self._rejection.rows[~self._rejection.active].sum())
+
+    def weights(self, factors: ArrayLike) -> Array:
+        """Return what factors (M,) count for, by their numbers: 1, or 0 where they are let go, (M,)."""
+        return np.where(np.isin(np.asarray(factors, dtype=np.int32).reshape(-1), self.let_go), 0.0, 1.0)
+
+    def keys_of(self, factor: int) -> Keys:
+        """Return the keys of the variables that a built-in factor joins, by its number, (arity,).
+
+        Raises
+        ------
+        GraphError
+            There is no such factor.
+        """
+        return self._state.scope_of(factor)
 
     @property
     def early(self) -> Keys:
@@ -225,11 +311,7 @@ class ISAM2:
         OutputError
             The file cannot be written.
         """
-        write_state(
-            path,
-            state_arrays(self._state),
-            {"settings": asdict(self.settings), "updates": self._policy.updates, "savings": self._policy.savings},
-        )
+        write_state(path, self._arrays(), self._about())
 
     @classmethod
     def load(cls, path: Path | str, *, factors: Iterable[type[FactorRecord]] = ()) -> ISAM2:
@@ -249,17 +331,22 @@ class ISAM2:
         GraphError
             It holds factors whose class was not given, or does not fit.
         """
-        state, contents = read_state(path, factors)
-        return _restored(ISAM2Settings(**contents["settings"]), contents["updates"], contents["savings"], state)
+        return _restored(*read_state(path, factors))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _unpickled, (
-            self.settings,
-            self._policy.updates,
-            self._policy.savings,
-            state_arrays(self._state),
-            self._state.custom_classes(),
-        )
+        return _unpickled, (self._arrays(), self._about(), self._state.custom_classes())
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        doubtful = {} if self._rejection is None else self._rejection.arrays()
+        return {**state_arrays(self._state), **doubtful}
+
+    def _about(self) -> dict[str, Any]:
+        return {
+            "settings": asdict(self.settings),
+            "outliers": None if self._rejection is None else asdict(self._rejection.settings),
+            "updates": self._policy.updates,
+            "savings": self._policy.savings,
+        }
 
     @property
     def bytes(self) -> int:
@@ -274,21 +361,19 @@ class ISAM2:
         return self._state.values() if keys is None else self._state.at(keys)
 
 
-def _restored(settings: ISAM2Settings, updates: int, savings: list[int], state: TreeState) -> ISAM2:
-    smoother = ISAM2(settings)
+def _restored(state: TreeState, arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> ISAM2:
+    outliers = about.get("outliers")  # an earlier version had none
+    rejection = None if outliers is None else OutlierRejection(**outliers)
+    smoother = ISAM2(ISAM2Settings(**about["settings"]), outliers=rejection)
     smoother._state = state
-    smoother._policy.restore(updates, savings)
+    smoother._policy.restore(about["updates"], about["savings"])
+    if smoother._rejection is not None:
+        smoother._rejection.restore(arrays)
     return smoother
 
 
-def _unpickled(
-    settings: ISAM2Settings,
-    updates: int,
-    savings: list[int],
-    arrays: dict[str, NDArray[Any]],
-    own: tuple[type[Factor], ...],
-) -> ISAM2:
-    return _restored(settings, updates, savings, state_from(arrays, own))
+def _unpickled(arrays: dict[str, NDArray[Any]], about: dict[str, Any], own: tuple[type[Factor], ...]) -> ISAM2:
+    return _restored(state_from(arrays, own), arrays, about)
 
 
 def _check_bound(max_variables: int | None, iterate: float | None) -> None:

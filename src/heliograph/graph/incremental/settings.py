@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from heliograph.config_checks import check_range
 
-__all__ = ["CONSTRAINT_SIGMA", "ISAM2Settings"]
+__all__ = ["CONSTRAINT_SIGMA", "ISAM2Settings", "OutlierRejection"]
 
 # What a hard constraint weighs in the tree [rad, m]: far below any sensor's sigma, and its information far enough from
 # 10^16 times that of the weakest factor for double precision.
@@ -49,3 +49,38 @@ class ISAM2Settings:
     def __post_init__(self) -> None:
         check_range(self, "relinearize_threshold", "wildfire", low=0.0)
         check_range(self, "relinearize_skip", "max_steps", "max_relinearized", low=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutlierRejection:
+    """How an incremental smoother tells false loops, and lets them go.
+
+    Parameters
+    ----------
+    probability : float
+        That a true factor is nearer to what the others say than the threshold: the chi-square quantile of its rows, of
+        its squared innovation.
+    scale_margin : float
+        Where the residuals of accepted factors are much shorter than their noise says, the threshold shrinks to as many
+        times their own scale (as a standard deviation); infinite: never. It never grows.
+    step : float
+        By which the convexity of the Geman-McClure surrogate falls a round, where loops are decided anew.
+    max_rounds : int
+        Rounds of either kind in one update.
+
+    Raises
+    ------
+    ConfigError
+        A value is out of its range.
+    """
+
+    probability: float = 0.999
+    scale_margin: float = 4.0
+    step: float = 4.0
+    max_rounds: int = 20
+
+    def __post_init__(self) -> None:
+        check_range(self, "probability", above=0.0, below=1.0)
+        check_range(self, "scale_margin", above=0.0)
+        check_range(self, "step", above=1.0)
+        check_range(self, "max_rounds", low=1)

@@ -24,7 +24,7 @@ from heliograph.graph.model.records import FactorRecord
 
 __all__ = ["read_state", "state_arrays", "state_from", "write_state"]
 
-VERSION = 3
+VERSION = 4  # 4: factors may be let go
 OLDEST_READ = 2
 # Settings that version 2 wrote under another name.
 _RENAMED_SETTINGS = {"most_steps": "max_steps", "most_relinearized": "max_relinearized"}
@@ -42,7 +42,7 @@ def state_arrays(state: TreeState) -> _Arrays:
         "switched": np.array(list(state._switched.items()), dtype=np.float64).reshape(-1, 2),
     }
     kinds = []
-    for (code, own, families, form, kernel, rows, shapes), number in state._kinds.items():
+    for (code, own, families, form, kernel, rows, shapes), number in state.staging.kinds.items():
         kinds.append(
             {
                 "number": number,
@@ -56,7 +56,7 @@ def state_arrays(state: TreeState) -> _Arrays:
             }
         )
         if own is not None:
-            entry, prefix = state._custom.kinds[number], f"own{number}"
+            entry, prefix = state.staging.custom.kinds[number], f"own{number}"
             members = list(entry.scopes)
             arrays[f"{prefix}.numbers"] = np.array(members, dtype=np.int32)
             arrays[f"{prefix}.scopes"] = np.array([entry.scopes[n] for n in members], dtype=np.int32)
@@ -96,10 +96,10 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
         own = None if entry["own"] is None else _own_class(entry["own"], entry["rows"], families, classes)
         shapes = tuple(tuple(shape) for shape in entry["shapes"])
         number = entry["number"]
-        state._kinds[(entry["code"], own, families, entry["form"], kernel, entry["rows"], shapes)] = number
+        state.staging.kinds[(entry["code"], own, families, entry["form"], kernel, entry["rows"], shapes)] = number
         if own is not None:
             members = _own_members(CustomKind(own, families), arrays, f"own{number}", len(shapes))
-            state._custom.kinds[number] = members
+            state.staging.custom.kinds[number] = members
     for k, name in enumerate(contents.get("early", ())):  # an earlier version had none
         family = family_called(name)
         state.early.values.insert(arrays[f"early{k}.keys"], family.unpack(arrays[f"early{k}.packed"]))
@@ -146,8 +146,8 @@ def write_state(path: Path | str, arrays: _Arrays, contents: Mapping[str, Any]) 
         np.savez(file, allow_pickle=False, about=np.frombuffer(about, dtype=np.uint8), **arrays)  # type: ignore[arg-type, unused-ignore]
 
 
-def read_state(path: Path | str, factors: Iterable[type[FactorRecord]]) -> tuple[TreeState, dict[str, Any]]:
-    """Read what `write_state` wrote: the state, and what the smoother said of itself.
+def read_state(path: Path | str, factors: Iterable[type[FactorRecord]]) -> tuple[TreeState, _Arrays, dict[str, Any]]:
+    """Read what `write_state` wrote: the state, all arrays, and what the smoother said of itself.
 
     Raises
     ------
@@ -170,7 +170,7 @@ def read_state(path: Path | str, factors: Iterable[type[FactorRecord]]) -> tuple
                 path, f"was written by an earlier version ({about['version']} < {OLDEST_READ}); replay the graph"
             )
         about["settings"] = {_RENAMED_SETTINGS.get(name, name): value for name, value in about["settings"].items()}
-        return state_from(arrays, factors), about
+        return state_from(arrays, factors), arrays, about
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror or error}); give a file of ISAM2.save") from error
     except (KeyError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:

@@ -2,50 +2,34 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import replace
-from typing import NamedTuple, TypeAlias
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph import _core
-from heliograph.arrays import Array
+from heliograph.arrays import Array, Keys, Mask
 from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.diagnosis.diagnosis import diagnose
 from heliograph.graph.incremental.budget import UNBOUNDED, Budget
-from heliograph.graph.incremental.custom_factors import CustomFactors, CustomKind
 from heliograph.graph.incremental.early import EarlyVariables
-from heliograph.graph.incremental.settings import CONSTRAINT_SIGMA
+from heliograph.graph.incremental.staging import FactorStage, Staged
+from heliograph.graph.incremental.update_result import PassTally
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.factor_graph import Added, FactorGraph
 from heliograph.graph.model.factors import Prior
 from heliograph.graph.model.families import Family, Value
-from heliograph.graph.model.kernels import Kernel
 from heliograph.graph.model.key_runs import KeyRuns
-from heliograph.graph.model.noise import Isotropic, Whitening
-from heliograph.graph.model.records import FactorRecord, as_keys, key_list
+from heliograph.graph.model.noise import Isotropic
+from heliograph.graph.model.records import as_keys, key_list
 from heliograph.graph.model.symbols import key_name
 from heliograph.graph.model.values import Values
 
 __all__ = ["TreeState"]
 
 Int32s = NDArray[np.int32]
-# What tells kinds of factors apart: type, own class, families, form of noise, kernel, rows, shapes of what is measured.
-KindName: TypeAlias = tuple[
-    int, type[Factor] | None, tuple[Family, ...], int, Kernel | None, int, tuple[tuple[int, ...], ...]
-]
-
-
-class _Staged(NamedTuple):
-    """Factors of one kind, checked and ready to be handed over."""
-
-    rows: slice | NDArray[np.int64]  # of all new factors, which these are
-    kind: int
-    scopes: Int32s
-    measurement: Array
-    sqrt_information: Array
-    data: tuple[Array, ...]
 
 
 class TreeState:
@@ -57,8 +41,7 @@ class TreeState:
         self._keys: list[int] = []  # by variable; numbers of variables that left are given again
         self._families: list[Family] = []
         self._left = KeyRuns()
-        self._kinds: dict[KindName, int] = {}
-        self._custom = CustomFactors()
+        self.staging = FactorStage(self.native, self._families)
         self.early = EarlyVariables()
         self._switched: dict[int, float] = {}  # weights that the next update brings in
         # The update that is under way adds these variables and custom factors, and removes these factors.
@@ -67,24 +50,38 @@ class TreeState:
         self._removed: list[int] = []
         self._made = False  # a pass of it has ended
 
-    def add(self, graph: FactorGraph | None, values: Values | None) -> Int32s:
-        """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed."""
+    def add(self, graph: FactorGraph | None, values: Values | None, let_go: Mask | None = None) -> Int32s:
+        """Hand new variables and factors to the tree; return the factors' numbers. On an error nothing has changed.
+
+        Those in the mask `let_go` (N,) get a number, and say nothing until they are taken back.
+        """
         graph = FactorGraph() if graph is None else graph  # one without factors may hold variables
         values = Values() if values is None else values
-        keys, self._made = values.keys().tolist(), False
+        self._made = False
+        keys = [key for mine in values.keys_by_family() for key in mine]
         self._check_new(keys)
-        self._add_variables(self.early.enter(graph, values, keys))
+        groups = graph.groups()
+        named = [added.record.flat_keys() for added in groups]
+        self._add_variables(self.early.enter(graph, values, keys, named))
+        staged: list[Staged] = []
         try:
-            staged = [part for added in graph.groups() if len(added.record) for part in self._stage(added)]
+            for added, mine in zip(groups, named, strict=True):
+                if mine:
+                    staged += self.staging.parts(added, self._numbers_of(mine, added), let_go)
             held = self._held(graph.fixed)
         except GraphError:
             self.roll_back()
             raise
         if held is not None:
             self.native.hold(held)
-        if len(staged) == 1:
-            return self._add_factors(staged[0])
-        numbers = np.zeros(len(graph), dtype=np.int32)
+        return self._enter(staged, len(graph))
+
+    def _enter(self, staged: list[Staged], count: int) -> Int32s:
+        """Hand factors over and return their numbers, in the order of the graph's."""
+        # One each, and so in order: what an online graph adds.
+        if len(staged) == count and not self.staging.custom.kinds:
+            return self.native.add_single_factors(staged)
+        numbers = np.zeros(count, dtype=np.int32)
         for part in staged:
             numbers[part.rows] = self._add_factors(part)
         return numbers
@@ -101,17 +98,16 @@ class TreeState:
                 raise GraphError(f"{key_list(np.array(twice))}: has a value already and waits for its first factor")
 
     def _add_variables(self, values: Values) -> None:
-        keys = values.keys().tolist()
-        at = 0
-        for family, packed in zip(values.families(), values.packed(), strict=True):
-            for number in self.native.add_variables(family.code, family.dof, packed.reshape(-1)).tolist():
-                if number == len(self._keys):
-                    self._keys.append(keys[at])
-                    self._families.append(family)
-                self._keys[number] = keys[at]
-                self._number[keys[at]] = number
-                self._fresh.add(number)
-                at += 1
+        keys, families, number = self._keys, self._families, self._number
+        for family, packed, mine in zip(values.families(), values.packed(), values.keys_by_family(), strict=True):
+            added = self.native.add_variables(family.code, family.dof, packed.reshape(-1)).tolist()
+            for variable, key in zip(added, mine, strict=True):
+                if variable == len(keys):
+                    keys.append(key)
+                    families.append(family)
+                keys[variable] = key
+                number[key] = variable
+            self._fresh.update(added)
 
     def roll_back(self) -> None:
         """Undo what the update that is under way has brought: everything is as it was before."""
@@ -123,12 +119,12 @@ class TreeState:
             del self._number[self._keys[number]]
             if number >= self.native.slots:
                 del self._keys[number], self._families[number]
-        self._custom.drop(self._entered)
+        self.staging.custom.drop(self._entered)
         self.early.roll_back()
         self._end_update()
 
     def _commit_names(self) -> None:
-        self._custom.drop(self._removed)
+        self.staging.custom.drop(self._removed)
         self.early.commit()
         self._made = True
         self._end_update()
@@ -137,17 +133,77 @@ class TreeState:
         self._fresh.clear()
         self._entered, self._removed, self._switched = [], [], {}
 
-    def relinearize(self, budget: Budget) -> int:
-        """Let variables take long steps into their linearisation points; return how many did."""
-        if not budget.relinearize:
-            return 0
-        return self.native.relinearize(budget.threshold, budget.relinearize, budget.farthest_first)
+    def advance(
+        self, budget: Budget, tally: PassTally, graph: FactorGraph | None, values: Values | None
+    ) -> tuple[int, int]:
+        """Do one pass; return how many variables were relinearised, and how many deferred steps were computed.
+
+        Long steps go into the linearisation points, the top of the tree is taken down, ordered with the newest last and
+        eliminated; steps are carried down. When the elimination is done the update is in the tree for good.
+
+        Parameters
+        ----------
+        budget : Budget
+            What the pass may do.
+        tally : PassTally
+            Receives what it did, and its seconds.
+        graph, values : FactorGraph and Values, or None
+            What the update brought, for a message.
+
+        Raises
+        ------
+        UnderconstrainedError
+            Something is not determined; the update is undone.
+        """
+        if self.staging.custom.kinds:
+            return self._advance_by_steps(budget, tally, graph, values)
+        done = self.native.advance(
+            budget.threshold,
+            budget.relinearize,
+            budget.farthest_first,
+            budget.eliminate,
+            budget.wildfire,
+            budget.fluid_threshold,
+            budget.steps,
+            budget.deferred_steps,
+        )
+        self._decide(done.undetermined, graph, values)
+        tally.add(done.relinearized, self.native.counts(), done.seconds)
+        return done.relinearized, done.caught_up
+
+    def _advance_by_steps(
+        self, budget: Budget, tally: PassTally, graph: FactorGraph | None, values: Values | None
+    ) -> tuple[int, int]:
+        """Do one pass as `advance`, with the user's own factors evaluated between two of its steps."""
+        native, laps = self.native, [time.perf_counter()]
+        relinearized = 0
+        if budget.relinearize:
+            relinearized = native.relinearize(budget.threshold, budget.relinearize, budget.farthest_first)
+        laps.append(time.perf_counter())
+        self.detach()
+        laps.append(time.perf_counter())
+        native.reorder()
+        laps.append(time.perf_counter())
+        self._decide(native.eliminate(budget.eliminate), graph, values)
+        laps.append(time.perf_counter())
+        caught_up = 0
+        if not native.waiting:
+            caught_up = native.solve(budget.wildfire, budget.fluid_threshold, budget.steps, budget.deferred_steps)
+        laps.append(time.perf_counter())
+        tally.add(relinearized, native.counts(), [after - before for before, after in pairwise(laps)])
+        return relinearized, caught_up
+
+    def _decide(self, undetermined: int, graph: FactorGraph | None, values: Values | None) -> None:
+        """Take the update for good, or say why it was refused at a variable."""
+        if undetermined >= 0:
+            raise UnderconstrainedError(self._refused(undetermined, graph, values))
+        self._commit_names()
 
     def detach(self) -> None:
         """Take down the top of the tree, and evaluate the user's own factors in it that have to be linearised."""
         self.native.detach()
         try:
-            for kind, own in self._custom:
+            for kind, own in self.staging.custom:
                 numbers = self.native.stale_factors(kind)
                 if numbers.size:
                     self.native.set_custom(*own.evaluate(numbers, self.native.linearization_point))
@@ -155,37 +211,19 @@ class TreeState:
             self.roll_back()
             raise
 
-    def reorder(self) -> None:
-        """Order what was taken down: the newest last."""
-        self.native.reorder()
-
-    def eliminate(self, budget: Budget, graph: FactorGraph | None, values: Values | None) -> None:
-        """Eliminate what was taken down; the update is then in the tree for good.
-
-        Raises
-        ------
-        UnderconstrainedError
-            Something is not determined; the update is undone.
-        """
-        failed = self.native.eliminate(budget.eliminate)
-        if failed >= 0:
-            raise UnderconstrainedError(self._refused(failed, graph, values))
-        self._commit_names()
-
-    def solve(self, budget: Budget) -> int:
-        """Carry steps down, unless variables wait to be eliminated; return how many deferred ones it computed."""
-        if self.native.waiting:
-            return 0
-        return self.native.solve(budget.wildfire, budget.fluid_threshold, budget.steps, budget.deferred_steps)
-
     def converged(self, threshold: float | None) -> bool:
         """Return whether no step is longer than a threshold [rad, m], or without one whether nothing is left to do."""
         if threshold is not None:
             return self.native.largest_step() <= threshold
         return not self.pending()
 
-    def marginalize(self, keys: ArrayLike) -> None:
-        """Take variables out of the tree; what their factors said stays as a summary."""
+    def numbers_in_tree(self, keys: ArrayLike) -> Int32s:
+        """Return the numbers of those keys that are in the tree."""
+        known = [self._number.get(key, -1) for key in as_keys(keys).reshape(-1).tolist()]
+        return np.array([number for number in known if number >= 0], dtype=np.int32)
+
+    def marginalize(self, keys: ArrayLike) -> list[int]:
+        """Take variables out of the tree; what their factors said stays as a summary. Returns the factors' numbers."""
         leaving = as_keys(keys).reshape(-1)
         early = [key for key in leaving.tolist() if key in self.early.values]
         numbers = self._numbers(leaving[~np.isin(leaving, early)], lambda: "to be marginalised out")
@@ -194,7 +232,7 @@ class TreeState:
             raise GraphError(f"{key_list(np.array(held))}: held by `fix`; what is known is not marginalised out")
         self.early.drop(early)
         if not numbers.size:
-            return
+            return []
         self.native.leave(numbers)
         self.detach()
         self.native.reorder()
@@ -204,14 +242,15 @@ class TreeState:
             raise UnderconstrainedError(
                 f"key {name}: not determined where it was last linearised; nothing was marginalised out"
             )
-        summarised = self.native.drop_left().tolist()
-        self._custom.drop(summarised)
+        summarised: list[int] = self.native.drop_left().tolist()
+        self.staging.custom.drop(summarised)
         for number in summarised:
             self._switched.pop(number, None)
         for number in numbers.tolist():
             key = self._keys[number]
             self._number.pop(key, None)
             self._left.add(key)
+        return summarised
 
     def pending(self) -> int:
         """Return how many variables wait to be eliminated, else relinearised, else how many branches are deferred."""
@@ -264,7 +303,7 @@ class TreeState:
     def _hold_leaving(self, graph: FactorGraph) -> None:
         """Give what `leaving` returned to the update that is under way."""
         for added in graph.groups():
-            for part in self._stage(added):
+            for part in self.staging.parts(added, self._numbers_of(added.record.flat_keys(), added)):
                 self._add_factors(part)
 
     def _held(self, keys: NDArray[np.int64]) -> Int32s | None:
@@ -278,84 +317,32 @@ class TreeState:
     def _numbers(self, keys: NDArray[np.int64], what: Callable[[], str]) -> Int32s:
         """Return the numbers of the variables, of the keys' shape; `what` tells a message what names them."""
         numbers = [self._number.get(key, -1) for key in keys.ravel().tolist()]
-        found = np.array(numbers, dtype=np.int32).reshape(keys.shape)
         if -1 in numbers:
-            left = keys[np.array([key in self._left for key in keys.ravel().tolist()]).reshape(keys.shape)]
-            if left.size:
-                raise GraphError(f"{key_list(left)}: {what()}, but marginalised out; name only keys that are kept")
-            early = np.array([key for key in keys[found < 0].tolist() if key in self.early.values], dtype=np.int64)
-            if early.size:
-                raise GraphError(f"{key_list(early)}: {what()}, but without a factor so far; add one first")
-            raise GraphError(f"{key_list(keys[found < 0])}: {what()}, but without a value; insert one with the factor")
-        return found
+            raise GraphError(self._missing(keys.ravel(), what()))
+        return np.array(numbers, dtype=np.int32).reshape(keys.shape)
 
-    def _stage(self, added: Added) -> list[_Staged]:
-        if added.whitening.constrained:
-            added = Added(first=added.first, record=added.record, whitening=stiff(added.whitening))
-        scopes = self._numbers(added.record.keys, lambda: f"in {added.name(0)} and what follows it")
-        if len(scopes) == 1:
-            return [self._part(added, scopes, tuple([self._families[v] for v in scopes[0].tolist()]), None)]
-        combinations: dict[tuple[Family, ...], list[int]] = {}
-        for row, scope in enumerate(scopes.tolist()):
-            combinations.setdefault(tuple([self._families[v] for v in scope]), []).append(row)
-        if len(combinations) == 1:  # the usual case: all of them as they are
-            return [self._part(added, scopes, next(iter(combinations)), None)]
-        return [self._part(added, scopes, families, np.array(rows)) for families, rows in combinations.items()]
+    def _numbers_of(self, keys: list[int], added: Added) -> list[int]:
+        """Return the numbers of a record's variables."""
+        numbers = [self._number.get(key, -1) for key in keys]
+        if -1 in numbers:
+            what = f"in {added.name(0)} and what follows it"
+            raise GraphError(self._missing(np.array(keys, dtype=np.int64), what))
+        return numbers
 
-    def _part(
-        self, added: Added, scopes: Int32s, families: tuple[Family, ...], members: NDArray[np.int64] | None
-    ) -> _Staged:
-        """Return those factors of a record that join variables of such families: some rows, or all."""
-        record, noise = added.record, added.whitening
-        data = record.data if isinstance(record, Factor) else ()
-        kind = self._kind(added, families, 0 if members is None else int(members[0]))
-        if members is None:
-            rows = slice(added.first, added.first + len(record))
-            return _Staged(rows, kind, scopes, record.measurement, noise.sqrt_information, data)
-        return _Staged(
-            added.first + members,
-            kind,
-            np.ascontiguousarray(scopes[members]),
-            np.ascontiguousarray(record.measurement[members]),
-            noise.sqrt_information if noise.shared else np.ascontiguousarray(noise.sqrt_information[members]),
-            tuple([item[members] for item in data]),
-        )
+    def _missing(self, keys: NDArray[np.int64], what: str) -> str:
+        """Return what is wrong with the first kind of keys (N,) that are not in the tree."""
+        left = keys[[key in self._left and key not in self._number for key in keys.tolist()]]
+        if left.size:
+            return f"{key_list(left)}: {what}, but marginalised out; name only keys that are kept"
+        missing = keys[[key not in self._number for key in keys.tolist()]]
+        early = missing[[key in self.early.values for key in missing.tolist()]]
+        if early.size:
+            return f"{key_list(early)}: {what}, but without a factor so far; add one first"
+        return f"{key_list(missing)}: {what}, but without a value; insert one with the factor"
 
-    def _kind(self, added: Added, families: tuple[Family, ...], row: int) -> int:
-        record, noise = added.record, added.whitening
-        own = type(record) if isinstance(record, Factor) else None
-        shapes: tuple[tuple[int, ...], ...] = ((record.width,),)
-        if isinstance(record, Factor):
-            shapes = tuple([item.shape[1:] for item in record.data])
-        name = (record.type, own, families, noise.form, record.kernel, record.rows, shapes)
-        kind = self._kinds.get(name)
-        if kind is None:
-            fault = record.mismatch(families)
-            if fault is not None:
-                raise GraphError(f"{added.name(row)}: {fault}")
-            kind = self._kinds[name] = self._new_kind(record, families, noise)
-            if own is not None:
-                self._custom.kinds[kind] = CustomKind(own, families)
-        return kind
-
-    def _new_kind(self, record: FactorRecord, families: tuple[Family, ...], noise: Whitening) -> int:
-        kernel = record.kernel
-        return self.native.add_kind(
-            record.type,
-            np.array([family.code for family in families], dtype=np.int32),
-            np.array([family.dof for family in families], dtype=np.int32),
-            record.rows,
-            noise.form,
-            0 if kernel is None else kernel.code,
-            1.0 if kernel is None else float(kernel.width),
-            record.width,
-        )
-
-    def _add_factors(self, part: _Staged) -> Int32s:
-        numbers = self.native.add_factors(
-            part.kind, part.scopes.reshape(-1), part.measurement.reshape(-1), part.sqrt_information.reshape(-1)
-        )
-        self._entered += self._custom.enter(part.kind, numbers, part.scopes, part.data)
+    def _add_factors(self, part: Staged) -> Int32s:
+        numbers, entered = self.staging.hand_over(part)
+        self._entered += entered
         return numbers
 
     def remove(self, numbers: ArrayLike, leaving: FactorGraph | None = None) -> None:
@@ -383,10 +370,34 @@ class TreeState:
             raise GraphError(f"factors {key_list(array)}: not all of them are in the smoother; nothing was switched")
         self._switched.update(dict.fromkeys(array.tolist(), 1.0 if on else 0.0))
 
+    def restore(self, saved: bytes) -> None:
+        """Put the tree back to what `native.save` said, of the same variables and factors."""
+        self.native = self.staging.native = _core.BayesTree()
+        self.native.load(saved)
+
+    def scope_of(self, number: int) -> Keys:
+        """Return the keys of the variables that a built-in factor joins."""
+        if not self.native.has_factors(np.array([number], dtype=np.int32)):
+            raise GraphError(f"factor {number}: not in the smoother")
+        return self.key_of(self.native.factor_data(number)[0])
+
+    def in_tree(self, key: int) -> bool:
+        """Return whether a variable has been brought into the tree."""
+        return key in self._number
+
+    def family_of(self, number: int) -> Family:
+        """Return the family of one of the native side's variables."""
+        return self._families[number]
+
+    @property
+    def switching(self) -> bool:
+        """The next update switches factors on or off."""
+        return bool(self._switched)
+
     def cost(self) -> float:
-        """Return the cost of all factors at the estimate."""
+        """Return the cost of all factors at the estimate, but those that were let go."""
         self.native.finish_steps()
-        for _, own in self._custom:
+        for _, own in self.staging.custom:
             numbers = np.array(sorted(own.scopes), dtype=np.int32)
             if numbers.size:
                 self.native.set_custom(*own.evaluate(numbers, self.native.estimate))
@@ -450,7 +461,7 @@ class TreeState:
 
     def custom_classes(self) -> tuple[type[Factor], ...]:
         """Return the classes of the user's own factors, each once."""
-        return self._custom.classes()
+        return self.staging.custom.classes()
 
     def key_of(self, numbers: Int32s) -> NDArray[np.int64]:
         """Return the keys of the native side's variables."""
@@ -481,8 +492,3 @@ class TreeState:
         for family in self.early.values.families():
             values.insert(*self.early.values.block(family))
         return values
-
-
-def stiff(whitening: Whitening) -> Whitening:
-    """Return the noise that stands for a hard constraint in the tree, see `CONSTRAINT_SIGMA`."""
-    return replace(whitening, sqrt_information=whitening.sqrt_information / CONSTRAINT_SIGMA, constrained=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +15,11 @@ from heliograph.arrays import freeze
 __all__ = ["PassTally", "UpdateResult"]
 
 Int32s = NDArray[np.int32]
+_STEPS = ("relinearize", "detach", "reorder", "eliminate", "solve")  # of a pass
+
+
+def _none() -> Int32s:
+    return np.zeros(0, dtype=np.int32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,8 +41,8 @@ class UpdateResult:
     solved : int
         Variables whose step was computed.
     iterations : int
-        Passes: one; two where variables moved beyond the threshold and the first was cheap; more only where convergence
-        was asked for.
+        Passes: one; two where a variable moved beyond twice the threshold and the first was cheap; more only where
+        convergence was asked for.
     settled : bool
         Nothing is pending or deferred: no variable is farther than the threshold from where its factors were
         linearised. That bounds no cost: after a loop that bends a long trajectory it may be percents above the optimum.
@@ -48,10 +54,13 @@ class UpdateResult:
         variables to be relinearised, else `deferred`.
     deferred : int
         Branches of the tree whose steps are deferred, see `ISAM2Settings.max_steps`.
+    let_go, taken_back : (K,), (L,) int32
+        Numbers of the doubtful factors that this update has let go, its own among them, and of such as were let go
+        before and count again; see `OutlierRejection`.
     cost_before, cost_after : float or None
         Cost of all factors, where asked for: before, at the old estimate and the new variables' start.
     seconds : dict
-        By step: ``add``, ``relinearize``, ``detach``, ``reorder``, ``eliminate``, ``solve``.
+        By step: ``add``, ``relinearize``, ``detach``, ``reorder``, ``eliminate``, ``solve``; ``outliers``: their tests.
     """
 
     factors: Int32s
@@ -65,6 +74,8 @@ class UpdateResult:
     converged: bool
     pending: int = 0
     deferred: int = 0
+    let_go: Int32s = field(default_factory=_none)
+    taken_back: Int32s = field(default_factory=_none)
     cost_before: float | None = None
     cost_after: float | None = None
     seconds: dict[str, float] = field(default_factory=dict)
@@ -77,7 +88,8 @@ class PassTally:
     """What an update has done so far, pass by pass, and the seconds that its steps took."""
 
     __slots__ = (
-        "_last",
+        "_began",
+        "_tests_began",
         "cliques",
         "iterations",
         "linearized",
@@ -92,16 +104,17 @@ class PassTally:
         self.iterations = self.relinearized = self.reeliminated = self.cliques = self.linearized = self.solved = 0
         self.work = 0.0  # multiplications of the last elimination
         self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
+        self._began = self._tests_began = time.perf_counter()
 
-    def lap(self, step: str) -> None:
-        """Give the time since the last lap to a step."""
-        now = time.perf_counter()
-        self.seconds[step] = self.seconds.get(step, 0.0) + now - self._last
-        self._last = now
+    def brought(self) -> None:
+        """Note that what the update brings has been handed over."""
+        self.seconds["add"] = time.perf_counter() - self._began
 
-    def add(self, relinearized: int, counts: _core.TreeCounts) -> None:
-        """Add a pass."""
+    def add(self, relinearized: int, counts: _core.TreeCounts, seconds: Sequence[float]) -> None:
+        """Add a pass; seconds are those of its steps."""
+        mine = self.seconds
+        for step, took in zip(_STEPS, seconds, strict=True):
+            mine[step] = mine[step] + took if self.iterations else took
         self.iterations += 1
         self.relinearized += relinearized
         self.reeliminated += counts.variables
@@ -110,10 +123,20 @@ class PassTally:
         self.solved += counts.solved
         self.work = counts.work
 
+    def begin_tests(self) -> None:
+        """Note that from here on doubtful factors are decided about."""
+        self._tests_began = time.perf_counter() - sum(self.seconds.values())
+
+    def end_tests(self) -> None:
+        """Note the seconds that the decisions took, without those of the passes among them."""
+        self.seconds["outliers"] = time.perf_counter() - sum(self.seconds.values()) - self._tests_began
+
     def result(
         self,
         *,
         factors: Int32s,
+        let_go: Int32s,
+        taken_back: Int32s,
         converged: bool,
         pending: int,
         deferred: int,
@@ -130,6 +153,8 @@ class PassTally:
             iterations=self.iterations,
             seconds=self.seconds,
             factors=factors,
+            let_go=let_go,
+            taken_back=taken_back,
             settled=not pending,
             converged=converged,
             pending=pending,

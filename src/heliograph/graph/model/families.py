@@ -24,6 +24,7 @@ __all__ = [
     "as_single",
     "family_named",
     "family_of",
+    "lone_value",
     "stacked",
     "vectors",
 ]
@@ -291,19 +292,25 @@ def as_single(value: Value) -> tuple[Array, Family] | None:
 
     What is added one by one would spend its time on arrays of one element.
     """
+    lone = lone_value(value)
+    if lone is None:
+        return None
+    elements, family = lone
+    packed = np.empty((1, family.storage))
+    return (packed, family) if _core.pack_single(family.code, elements, packed) else None
+
+
+def lone_value(value: Value) -> tuple[Array, Family] | None:
+    """Return the array (*shape) and the family of what is plainly one value, finite or not; else None."""
     family = FAMILIES.get(type(value))
     if family is not None:
         elements = value.vector if family.lie is S2 else value.matrix
-        if elements.ndim != len(family.shape):
-            return None
-    elif (
+        return (elements, family) if elements.ndim == len(family.shape) else None
+    if (
         type(value) is np.ndarray
         and value.ndim == 1
         and value.dtype == np.float64
         and 1 <= len(value) <= LARGEST_VECTOR
     ):
-        elements, family = value, vectors(len(value))
-    else:
-        return None
-    packed = np.empty((1, family.storage))
-    return (packed, family) if _core.pack_single(family.code, elements, packed) else None
+        return value, vectors(len(value))
+    return None

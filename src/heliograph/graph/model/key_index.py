@@ -57,6 +57,13 @@ class KeyIndex:
         self._merge(keys, start + np.arange(len(keys), dtype=np.int64))
         return None
 
+    def add_one(self, key: int, code: int) -> bool:
+        """Give one key its code; return False where it is taken, and then change nothing."""
+        if key in self._recent or (len(self._keys) and self._find_sorted(key) >= 0):
+            return False
+        self._recent[key] = code
+        return True
+
     def _add_few(self, keys: list[int], start: int) -> int | None:
         fresh: dict[int, int] = {}
         for offset, key in enumerate(keys):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,6 +69,32 @@ def _name(index: int) -> str:
     return f"noise {index}"
 
 
+@functools.lru_cache(maxsize=256)
+def _shared(sigmas: tuple[float, ...]) -> Whitening | None:
+    """Return the S of one noise from its standard deviations, or None where one of them needs a closer look.
+
+    Graphs that are built factor by factor make the same noise over and over.
+    """
+    roots = [1.0 / sigma for sigma in sigmas if _LEAST < sigma < _LARGEST]
+    if len(roots) != len(sigmas):
+        return None
+    if roots.count(roots[0]) == len(roots):
+        return _alike(sigmas[0])
+    numbers = np.array([roots])
+    numbers.setflags(False)  # type: ignore[call-arg]
+    return Whitening(form=DIAGONAL, shared=True, sqrt_information=numbers)
+
+
+@functools.lru_cache(maxsize=256)
+def _alike(sigma: float) -> Whitening | None:
+    """Return what `_shared` does for one standard deviation of all rows."""
+    if not _LEAST < sigma < _LARGEST:
+        return None
+    numbers = np.array([[1.0 / sigma]])
+    numbers.setflags(False)  # type: ignore[call-arg]  # by position: three times as quick as by name
+    return Whitening(form=SCALAR, shared=True, sqrt_information=numbers)
+
+
 class Noise:
     """What the noise models share; use a subclass.
 
@@ -95,16 +122,12 @@ class Noise:
         """Return the S that serves all factors with ``rows`` rows, where no closer look is needed, else None."""
         found = self._ready.get(rows)
         if found is None and (sigmas := self._sigmas(rows)) is not None:
-            roots = [1.0 / sigma for sigma in sigmas if _LEAST < sigma < _LARGEST]
-            if len(roots) == len(sigmas):
-                alike = roots.count(roots[0]) == len(roots)
-                numbers = np.array([roots[:1] if alike else roots])
-                numbers.flags.writeable = False
-                found = Whitening(form=SCALAR if alike else DIAGONAL, shared=True, sqrt_information=numbers)
+            found = _shared(sigmas)
+            if found is not None:
                 self._ready[rows] = found
         return found
 
-    def _sigmas(self, rows: int) -> list[float] | None:  # noqa: ARG002
+    def _sigmas(self, rows: int) -> tuple[float, ...] | None:  # noqa: ARG002
         """Return the standard deviations, one or `rows`, if they are all that there is to one noise for all factors."""
         return None
 
@@ -210,15 +233,35 @@ class Isotropic(Noise):
         Standard deviation, in the residual's units.
     """
 
-    __slots__ = ()
+    __slots__ = ("_sigma",)
+    _sigma: float | None
     form: ClassVar[int] = SCALAR
     core: ClassVar[int] = 0
 
     def __init__(self, sigma: ArrayLike) -> None:
-        super().__init__(sigma)
+        if isinstance(sigma, float):  # the usual case: an array is made when it is asked for
+            self._sigma = float(sigma)
+            self._ready = {}
+        else:
+            super().__init__(sigma)
 
-    def _sigmas(self, rows: int) -> list[float] | None:  # noqa: ARG002
-        return [self._numbers.item()] if self.shared else None
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        """Make the array of a single number; only called for what has not been set."""
+        if name == "_sigma":
+            return None
+        if name != "_numbers":
+            raise AttributeError(f"{type(self).__name__} has no {name}")
+        array = np.array(self._sigma)
+        array.flags.writeable = False
+        self._numbers = array
+        return array
+
+    def ready(self, rows: int) -> Whitening | None:
+        """Return the S that serves all factors, whatever their rows, where no closer look is needed, else None."""
+        return super().ready(rows) if self._sigma is None else _alike(self._sigma)
+
+    def _sigmas(self, rows: int) -> tuple[float, ...] | None:  # noqa: ARG002
+        return (self._numbers.item(),) if self.shared else None
 
     def _roots(self, stack: Array, name: Namer) -> Array:
         return _require_positive(stack, name)
@@ -240,8 +283,8 @@ class Diagonal(Noise):
     def __init__(self, sigmas: ArrayLike) -> None:
         super().__init__(sigmas)
 
-    def _sigmas(self, rows: int) -> list[float] | None:
-        return self._numbers.tolist() if self._numbers.shape == (rows,) else None
+    def _sigmas(self, rows: int) -> tuple[float, ...] | None:
+        return tuple(self._numbers.tolist()) if self._numbers.shape == (rows,) else None
 
     def _roots(self, stack: Array, name: Namer) -> Array:
         return _require_positive(stack, name)

@@ -212,6 +212,10 @@ class FactorRecord:
         """Variables of one factor."""
         return int(self.keys.shape[1]) if self.single is None else len(self.single[0])
 
+    def flat_keys(self) -> list[int]:
+        """Return the keys of its variables, one factor after the other."""
+        return list(self.single[0]) if self.single is not None else self.keys.ravel().tolist()
+
     @property
     def width(self) -> int:
         """Doubles of one measurement."""

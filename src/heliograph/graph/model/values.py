@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from heliograph import _core
 from heliograph.arrays import Array, Keys
 from heliograph.errors import GraphError
-from heliograph.graph.model.families import Family, Value, as_single, family_named, stacked
+from heliograph.graph.model.families import Family, Value, family_named, lone_value, stacked
 from heliograph.graph.model.key_index import KeyIndex
 from heliograph.graph.model.records import as_keys, key_list, plain_key
 from heliograph.graph.model.symbols import key_name
@@ -43,15 +44,28 @@ class _Block:
     def packed(self) -> Array:
         return self._packed[: self.count]
 
-    def append(self, keys: Keys | list[int], packed: Array) -> None:
+    def append(self, keys: Keys, packed: Array) -> None:
         total = self.count + len(keys)
         if total > len(self._keys):
-            room = max(total, 2 * self.count)
-            grown_keys, grown = np.empty(room, dtype=np.int64), np.empty((room, self.family.storage))
-            grown_keys[: self.count], grown[: self.count] = self.keys, self.packed
-            self._keys, self._packed = grown_keys, grown
+            self._grow(total)
         self._keys[self.count : total], self._packed[self.count : total] = keys, packed
         self.count = total
+
+    def row(self) -> Array:
+        """Room (1, storage) for one more value; it counts from `fill_row` on."""
+        if self.count == len(self._keys):
+            self._grow(self.count + 1)
+        return self._packed[self.count : self.count + 1]
+
+    def fill_row(self, key: int) -> None:
+        self._keys[self.count] = key
+        self.count += 1
+
+    def _grow(self, total: int) -> None:
+        room = max(total, 2 * self.count)
+        grown_keys, grown = np.empty(room, dtype=np.int64), np.empty((room, self.family.storage))
+        grown_keys[: self.count], grown[: self.count] = self.keys, self.packed
+        self._keys, self._packed = grown_keys, grown
 
     def with_packed(self, packed: Array) -> _Block:
         other = _Block(self.family)
@@ -92,13 +106,10 @@ class Values:
         GraphError
             A key is there already or twice in the call, the numbers differ, or a value is not finite or no rotation.
         """
-        one = as_single(value) if plain_key(keys) else None
-        array: Keys | list[int]
-        if one is not None:
-            array, packed, family = [keys], *one  # type: ignore[list-item]
-        else:
-            array, elements, family = self._checked(keys, value)
-            packed = family.pack_elements(elements)
+        if type(keys) is int and plain_key(keys) and self._insert_one(keys, value):
+            return
+        array, elements, family = self._checked(keys, value)
+        packed = family.pack_elements(elements)
         number = self._numbers.get(family)
         block = _Block(family) if number is None else self._blocks[number]
         if number is None:
@@ -106,13 +117,29 @@ class Values:
         start = (number << _SHIFT) + block.count
         taken = self._index.add(array, start)
         if taken is not None:
-            raise GraphError(
-                f"key {key_name(taken)} is used twice; keys are unique over all families, and `update` changes values"
-            )
+            raise _used_twice(taken)
         if number == len(self._blocks):
             self._blocks.append(block)
             self._numbers[family] = number
         block.append(array, packed)
+
+    def _insert_one(self, key: int, value: Value) -> bool:
+        """Add one variable if its value needs no closer look; return whether it was."""
+        lone = lone_value(value)
+        if lone is None:
+            return False
+        elements, family = lone
+        number = self._numbers.get(family)
+        block = _Block(family) if number is None else self._blocks[number]
+        if not _core.pack_single(family.code, elements, block.row()):
+            return False
+        if not self._index.add_one(key, ((len(self._blocks) if number is None else number) << _SHIFT) + block.count):
+            raise _used_twice(key)
+        if number is None:
+            self._numbers[family] = len(self._blocks)
+            self._blocks.append(block)
+        block.fill_row(key)
+        return True
 
     def update(self, keys: ArrayLike, value: Value) -> None:
         """Replace the values of variables that are there; parameters and errors as in `insert`."""
@@ -168,6 +195,10 @@ class Values:
         if len(self._blocks) == 1:
             return np.array(self._blocks[0].keys)
         return np.concatenate([block.keys for block in self._blocks]) if self._blocks else np.zeros(0, dtype=np.int64)
+
+    def keys_by_family(self) -> list[list[int]]:
+        """Return the keys of each family, each in the order of insertion."""
+        return [block.keys.tolist() for block in self._blocks]
 
     def counts(self) -> tuple[int, ...]:
         """Return the number of variables of each family."""
@@ -254,6 +285,12 @@ class Values:
             names = sorted({self._blocks[n].family.name for n in np.unique(numbers).tolist()})
             raise GraphError(f"{key_list(keys)} are of several families ({', '.join(names)}); ask for one at a time")
         return (int(numbers[0]) if len(codes) else 0), codes & ((1 << _SHIFT) - 1)
+
+
+def _used_twice(key: int) -> GraphError:
+    return GraphError(
+        f"key {key_name(key)} is used twice; keys are unique over all families, and `update` changes values"
+    )
 
 
 def _described(family: Family, value: Array) -> str:

@@ -21,7 +21,7 @@ from heliograph.graph import (
     solve_robust,
 )
 from heliograph.graph.batch.chordal import whitened_information
-from heliograph.graph.batch.gnc_rounds import geman_mcclure_weight, truncated_weight
+from heliograph.graph.model.outliers import geman_mcclure_weight, truncated_weight
 from heliograph.graph.model.subgraph import subgraph
 from heliograph.lie import SE2, SE3
 

@@ -4,15 +4,24 @@ import numpy as np
 import pytest
 
 from heliograph.errors import ConfigError, FormatError
-from heliograph.graph import Between, FactorGraph, Information, load_graph, save_graph, solve
-from heliograph.graph.files.file_factors import DirectionPrior, KnownPlane, PlaneSighting
+from heliograph.graph import (
+    Attitude,
+    Between,
+    FactorGraph,
+    Information,
+    Plane,
+    Prior,
+    Values,
+    load_graph,
+    save_graph,
+    solve,
+)
+from heliograph.graph.files.file_factors import PlaneSighting
 from heliograph.graph.files.g2o import read_pose_graph, write_g2o
 from heliograph.graph.files.information import indefinite
 from heliograph.graph.incremental.replay import replay, replay_steps
-from heliograph.graph.model.differences import central_differences
-from heliograph.graph.model.families import FAMILIES
 from heliograph.graph.problem.problem import Problem
-from heliograph.lie import SE2, SE3, se2, se3
+from heliograph.lie import SE2, SE3, se2, se3, so3
 
 SMALL = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n"
 E = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
@@ -131,37 +140,57 @@ def test_measured_direction_levels_a_pose(read):
     file = read(text)
     found = solve(file.graph(), file.values()).values.at(0)
     np.testing.assert_allclose(found.matrix[2, :3], up, atol=1e-6)
-    gravity = text.replace("EDGE_SE3_PRIORVEC 0 0 0 2", "EDGE_SE3_GRAVITY 0").replace(
-        f"{up[2]} 100", f"{up[2]} 0 0 -1 100"
-    )
-    same = read(gravity)
-    assert cost(same.graph(), same.values()) == pytest.approx(cost(file.graph(), file.values()), rel=1e-12)
+    assert [type(record) for record in file.graph()] == [Attitude, Prior]
 
 
-def test_direction_prior_has_exact_derivatives(rng):
-    T = SE3.exp(rng.normal(size=(5, 6))).matrix
-    d, m = rng.normal(size=(2, 5, 3))
-    (J,) = DirectionPrior.jacobians(T, d, m)
-    _, (want,) = central_differences(DirectionPrior.residual, [FAMILIES[SE3]], [T], [d, m])
-    np.testing.assert_allclose(J, want, atol=1e-8)
+def test_information_of_a_direction_is_that_of_its_angles(read, rng):
+    T, world, seen = SE3.exp(rng.normal(size=6)), [0.0, 0.6, 0.8], None
+    seen = T.matrix[:3, :3].T @ world
+    root = rng.normal(size=(3, 3))
+    omega = root.T @ root
+    numbers = " ".join(repr(float(x)) for x in [*world, *seen, *omega[np.triu_indices(3)]])
+    graph = read(f"VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nEDGE_SE3_PRIORVEC 0 {numbers}\n").graph()
+    for d in 1e-4 * rng.normal(size=(5, 6)):
+        values = Values()
+        values.insert(0, T.retract(d))
+        e = values.at(0).matrix[:3, :3].T @ world - seen  # as hdl_graph_slam has it
+        assert 2.0 * graph.error(values) == pytest.approx(e @ omega @ e, rel=1e-3)
 
 
-@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [1.0, 0.0, 0.0]])
-def test_planes_seen_from_a_pose_cost_their_angle_and_distance(normal):
-    n = np.array(normal)
-    T = SE3.exp([0.1, -0.2, 0.3, 1.0, 2.0, 3.0]).matrix
+def test_gravity_edges_without_one_meaning_are_refused(read):
+    line = "EDGE_SE3_GRAVITY 0 0 0 1 0 0 -1 1 0 0 1 0 1\n"
+    with pytest.raises(FormatError, match=r"line 2: unknown tag 'EDGE_SE3_GRAVITY': its numbers .* EDGE_SE3_PRIORVEC"):
+        read("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n" + line)
+
+
+def g2o_plane_error(T, plane_world, plane_seen):
+    """What g2o's Plane3D::ominus gives: azimuth and elevation of the measured normal, seen from the estimated one."""
+    n = T[:3, :3].T @ plane_world[:3]
+    d = -(plane_world[3] + plane_world[:3] @ T[:3, 3])
+    azimuth, elevation = np.arctan2(n[1], n[0]), np.arctan2(n[2], np.hypot(n[0], n[1]))
+    R = so3.exp([0.0, 0.0, azimuth]) @ so3.exp([0.0, -elevation, 0.0])
+    m = R.T @ plane_seen[:3]
+    return np.array([np.arctan2(m[1], m[0]), np.arctan2(m[2], np.hypot(m[0], m[1])), d + plane_seen[3]])
+
+
+@pytest.mark.parametrize("fixed", [True, False])
+@pytest.mark.parametrize("normal", [[0.0, 0.3, 0.954], [0.6, 0.0, -0.8], [1.0, 0.0, 0.0]])
+def test_planes_cost_what_they_cost_in_g2o(read, rng, normal, fixed):
+    n = np.array(normal) / np.linalg.norm(normal)
     plane = np.append(n, -2.0)
-    seen = np.append(T[:3, :3].T @ n, plane[3] + n @ T[:3, 3])
-    zero = KnownPlane.residual(T[None], plane[None], seen[None])
-    np.testing.assert_allclose(zero, 0.0, atol=1e-12)
-    np.testing.assert_allclose(PlaneSighting.residual(T[None], 2.0 * n[None], -seen[None]), 0.0, atol=1e-12)
-    tilted = T @ se3.exp([0.03, 0.0, 0.0, 0.0, 0.0, 0.0])
-    r = KnownPlane.residual(tilted[None], plane[None], seen[None])[0]
-    across = np.linalg.norm(np.cross([1.0, 0.0, 0.0], seen[:3]))
-    if across > 0.999:
-        assert np.linalg.norm(r[:2]) == pytest.approx(0.03, abs=1e-9)
-    nearer = T @ se3.exp(np.concatenate([np.zeros(3), 0.1 * seen[:3]]))
-    assert abs(KnownPlane.residual(nearer[None], plane[None], seen[None])[0, 2]) == pytest.approx(0.1)
+    T = SE3.exp([0.1, -0.2, 0.3, 1.0, 2.0, 3.0])
+    seen = np.append(T.matrix[:3, :3].T @ n, plane[3] + n @ T.matrix[:3, 3])
+    root = rng.normal(size=(3, 3))
+    omega = root.T @ root
+    text = f"VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_PLANE 1 {' '.join(repr(float(x)) for x in plane)}\n"
+    text += "FIX 1\n" if fixed else "FIX 0\n"
+    numbers = " ".join(repr(float(x)) for x in [*seen, *omega[np.triu_indices(3)]])
+    graph, start = (file := read(f"{text}EDGE_SE3_PLANE 0 1 {numbers}\n")).graph(), file.values()
+    assert [type(record) for record in graph] == [Plane if fixed else PlaneSighting]
+    for d in [np.zeros(6), *(1e-4 * rng.normal(size=(5, 6)))]:
+        start.update(0, T.retract(d))
+        e = g2o_plane_error(start.at(0).matrix, plane, seen)
+        assert 2.0 * graph.error(start) == pytest.approx(e @ omega @ e, rel=2e-3, abs=1e-20)
 
 
 def test_floor_of_hdl_graph_slam_levels_and_lifts_a_pose(read, tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from heliograph.errors import ConfigError
-from heliograph.graph.files.worlds import drive, grid_walk, manhattan, sphere, torus, with_false_loops
+from heliograph.graph.files.worlds import drive, grid_walk, manhattan, sphere, torus, uneven, with_false_loops
 from heliograph.lie import SE2, SE3
 
 WORLDS = {
@@ -109,3 +109,11 @@ def test_impossible_worlds_are_refused(rng):
         manhattan(1, rng)
     with pytest.raises(ConfigError, match="positive"):
         grid_walk(100, rng, sigmas=(0.0, 0.1))
+
+
+def test_false_loops_claim_the_information_of_loops(rng):
+    world = uneven(rng, poses=80, every=20)
+    spoilt = with_false_loops(world, 0.5, rng)
+    assert spoilt.information.shape == (len(spoilt.i), 3, 3)
+    known = {omega.tobytes() for omega in world.information[79:]}
+    assert spoilt.false.any() and {omega.tobytes() for omega in spoilt.information[spoilt.false]} <= known

@@ -11,8 +11,8 @@ from heliograph.graph.incremental.budget import GRANTS, SPENDINGS, UNBOUNDED, Po
 SETTINGS = ISAM2Settings(max_steps=640, max_relinearized=1280)
 
 
-def tree(*, waiting=0, fluid=0, deferred=0):
-    return SimpleNamespace(waiting=waiting, fluid=fluid, deferred=deferred)
+def tree(*, waiting=0, fluid=0, deferred=0, longest_fluid=1.0):
+    return SimpleNamespace(waiting=waiting, fluid=fluid, deferred=deferred, longest_fluid=longest_fluid)
 
 
 def spent(settings=SETTINGS):
@@ -115,6 +115,12 @@ def test_only_cheap_passes_with_candidates_are_repeated():
     assert not policy.repeats(tree(fluid=1), work=1e6, solved=5001)
     assert not policy.repeats(tree(fluid=1, deferred=1), work=1e6, solved=5000)
     assert not Policy(ISAM2Settings(relinearize_threshold=0.0)).repeats(tree(fluid=1), work=1e6, solved=5000)
+
+
+def test_what_moved_little_beyond_the_threshold_waits_for_the_next_update():
+    policy, threshold = Policy(SETTINGS), SETTINGS.relinearize_threshold
+    assert not policy.repeats(tree(fluid=9, longest_fluid=1.9 * threshold), work=1e6, solved=5000)
+    assert policy.repeats(tree(fluid=9, longest_fluid=2.1 * threshold), work=1e6, solved=5000)
 
 
 def test_restored_savings_go_on():

@@ -15,6 +15,7 @@ from heliograph.graph import (
     Values,
     solve,
 )
+from heliograph.graph.incremental.tree_state import TreeState
 from heliograph.graph.problem.settings import SolverSettings
 from heliograph.lie import SE2, SE3
 from reference.growth import distance, gauss_newton_step, growth, starts, whole
@@ -229,3 +230,25 @@ def test_a_loop_that_moves_much_gets_a_second_pass_where_that_is_cheap(threshold
     graph = FactorGraph()
     graph.add(Between(39, 0, SE2.exp([2.0 * np.pi / 40.0, 1.0, 0.0]), Isotropic(0.01)))
     assert smoother.update(graph).iterations == passes
+
+
+def test_a_pass_in_one_call_is_the_pass_by_steps(rng, monkeypatch):
+    steps = growth(SE3, 80, rng, kernel=Huber(1.0))
+    at_once = fed(steps)
+    monkeypatch.setattr(TreeState, "advance", TreeState._advance_by_steps)
+    stepwise = fed(steps)
+    assert bits(at_once) == bits(stepwise)
+
+
+def test_single_factors_are_what_a_record_of_several_is(rng):
+    steps = growth(SE3, 30, rng)
+    poses = SE3.exp(0.1 * rng.normal(size=(6, 6)))
+    tight = ISAM2Settings(relinearize_threshold=0.0, wildfire=0.0)
+    singly, together = fed(steps, tight), fed(steps, tight)
+    graph, batch = FactorGraph(), FactorGraph()
+    for k in range(6):
+        graph.add(Between(k, k + 20, SE3(poses.matrix[k]), Isotropic(0.2), kernel=Huber(2.0)))
+    batch.add(Between(np.arange(6), np.arange(20, 26), poses, Isotropic(0.2), kernel=Huber(2.0)))
+    one, other = singly.update(graph), together.update(batch)
+    np.testing.assert_array_equal(one.factors, other.factors)
+    assert bits(singly) == bits(together)

@@ -29,6 +29,13 @@ def test_marginals_of_old_and_new_variables(settled):
         np.testing.assert_allclose(found, np.swapaxes(found, -1, -2), atol=0.0)
 
 
+def test_one_variable_alone_has_the_covariance_that_it_has_among_others(settled):
+    smoother, _ = settled
+    for keys in (np.arange(60), POINT + np.arange(12), STATE + 4 * np.arange(15)):
+        alone = np.array([smoother.covariance(key) for key in keys])
+        np.testing.assert_allclose(alone, smoother.covariance(keys), atol=1e-12, rtol=1e-9)
+
+
 def test_joint_of_any_variables(settled):
     smoother, batch = settled
     for keys in ([7], [59, 2], [POINT + 1, 33, STATE + 8, NAVIGATION, 1], [5, 0, 6]):

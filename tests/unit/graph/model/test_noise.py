@@ -1,5 +1,7 @@
 """Noise: S' S is the information in every form; what is no noise is refused with the factor's name."""
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -114,3 +116,19 @@ def test_printed_rounding_is_forgiven():
     omega = np.array([[float(f"{x:.6g}") for x in row] for row in np.outer(v, v)])
     assert np.linalg.eigvalsh(omega)[0] < -1e-9
     np.testing.assert_allclose(full(Information(omega).whitening(3, 1), 3)[0], omega, rtol=3e-5)
+
+
+def test_one_number_is_the_array_of_it():
+    for sigma in (0.25, np.float64(0.25)):
+        lone, array = Isotropic(sigma), Isotropic(np.array(0.25))
+        assert repr(lone) == repr(array)
+        assert lone.shared
+        np.testing.assert_array_equal(lone.numbers, array.numbers)
+        assert not lone.numbers.flags.writeable
+        for rows in (1, 6):
+            np.testing.assert_array_equal(lone.ready(rows).sqrt_information, array.ready(rows).sqrt_information)
+    assert pickle.loads(pickle.dumps(Isotropic(0.25))).numbers == 0.25
+    for bad in (0.0, -1.0, np.nan, np.inf):
+        assert Isotropic(bad).ready(3) is None
+        with pytest.raises(GraphError, match="noise"):
+            Isotropic(bad).whitening(3, 1)
