@@ -68,7 +68,7 @@ class SlowVoxelMap:
             entry["plane"] = {
                 "normal": vectors[:, 0],
                 "centroid": points.mean(axis=0),
-                "variance": max(thin, 1e-8) / n,
+                "variance": max(thin, 1e-8) / max(n - 3.0, 1.0),
                 "inv_spread": 1.0 / spread,
             }
 
@@ -82,7 +82,7 @@ class SlowVoxelMap:
         self.buckets = {c: b for c, b in self.buckets.items() if np.linalg.norm(middle[c] - centre) <= limit}
 
     def plane_at(self, q, gate):
-        """Normal, point, variance at q, source; None where no cube's plane is near enough."""
+        """Normal, point, variance at q, source, variance of the normal; None where no cube's plane is near enough."""
         for level in range(self.config.levels):
             entry = self.cubes.get((level, cube_of(q, self.edge(level))))
             plane = entry and entry["plane"]
@@ -92,7 +92,8 @@ class SlowVoxelMap:
             r = plane["normal"] @ d
             if abs(r) <= gate:
                 variance = plane["variance"] * (1.0 + (d @ d - r * r) * plane["inv_spread"])
-                return plane["normal"], plane["centroid"], variance, 1 + level
+                tilt = plane["variance"] * plane["inv_spread"]
+                return plane["normal"], plane["centroid"], variance, 1 + level, tilt
         return None
 
     def nearest(self, q, reach):
@@ -116,7 +117,7 @@ class SlowVoxelMap:
         r, d = normal @ (q - mean), q - mean
         if np.abs((points - mean) @ normal).max() > 3.0 * thick or abs(r) > gate:
             return None
-        return normal, mean, thick**2 / 5.0 * (1.0 + (d @ d - r * r) / values[1]), 255
+        return normal, mean, thick**2 / 5.0 * (1.0 + (d @ d - r * r) / values[1]), 255, thick**2 / 5.0 / values[1]
 
 
 class SlowGlobalMap:

@@ -102,7 +102,10 @@ class FilterCore:
 
         if fit is not None or self._keeper.empty:
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
-            self._keeper.extend(points_imu, pose, posterior, sigma=self.noise.sigma, matched=fit is not None)  # (9)
+            blind = fit.measurement.blind if fit is not None else None
+            posterior = self._keeper.extend(  # (9)
+                points_imu, pose, posterior, sigma=self.noise.sigma, matched=fit is not None, blind=blind
+            )
         watch.lap("map")
 
         intensity = _taken(scan.intensity, keep) if scan.intensity is not None else None
@@ -126,6 +129,7 @@ class FilterCore:
     def _predict(self, imu: ImuBatch, end_ns: int) -> tuple[NavState, ImuPath]:
         ahead = self._motion.predict(self.state, imu, end_ns)
         self._calibration.grow(ahead.growth)
+        self._keeper.predicted(ahead.growth)
         return ahead.state, ahead.path
 
     def _match(
@@ -145,13 +149,14 @@ class FilterCore:
         fit = self._matcher.match(prior, self.map, points_at, before_end, terms)
         if fit is not None:
             self._calibration.learn(fit.measurement)
+            self._keeper.updated(fit.retained)
         return fit
 
     def _settled(self, state: NavState) -> NavState:
         """Begin the map anew where a better mounting has shown it to be bent; its first pose defines its frame."""
         if not self._calibration.is_bent(state, self._keeper.scans):
             return state
-        self._keeper.begin_anew(state, sigma=self.noise.sigma)
+        self._keeper.begin_anew(state)
         return self._calibration.remounted(state)
 
     def _deskew(

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array
 from heliograph.config import FilterConfig
 from heliograph.data import NavState
+from heliograph.data.error_layout import POSE_DIM
+from heliograph.imu import ErrorGrowth
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.drift import MapDrift
 
@@ -41,9 +43,18 @@ class MapKeeper:
         return len(self.map) == 0
 
     def extend(
-        self, points_imu: NDArray[np.float32], pose: Array, state: NavState, *, sigma: float, matched: bool
-    ) -> None:
+        self,
+        points_imu: NDArray[np.float32],
+        pose: Array,
+        state: NavState,
+        *,
+        sigma: float,
+        matched: bool,
+        blind: Array | None = None,
+    ) -> NavState:
         """Insert a scan, account for what the map's frame may have drifted by that, and forget what is far away.
+
+        Returns the state in the frame that the map defines now; it differs in its covariance only.
 
         Parameters
         ----------
@@ -57,17 +68,30 @@ class MapKeeper:
             Range noise across planes [m].
         matched : bool
             Whether the scan's pose was matched to the map, or defines it.
+        blind : (6, 6) float64, optional
+            Projects an error of the pose onto what the match did not see, if anything.
         """
         self.scans = 1 if self.empty else self.scans + 1
         share = self.map.insert(points_imu, pose)
-        self._drift.grow(state, share, sigma=sigma, matched=matched)
+        if blind is not None:
+            state = self._drift.hand_over(state, blind)
+        state = self._drift.grow(state, share, sigma=sigma, matched=matched)
         if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:
             self.map.prune(state.p_odom)
             self._pruned_at = state.p_odom
+        return state
 
-    def begin_anew(self, state: NavState, *, sigma: float) -> None:
+    def predicted(self, growth: ErrorGrowth) -> None:
+        """Carry on what the map's frame has in common with the state over a prediction."""
+        self._drift.predicted(growth)
+
+    def updated(self, retained: Array) -> None:
+        """Carry it on over an update that left ``retained`` (K, K) of the state's errors."""
+        self._drift.updated(retained)
+
+    def begin_anew(self, state: NavState) -> None:
         """Forget the map; the next scan's pose ties the new one to the odom frame, with the error that it has now."""
-        self._drift.grow(state, 1.0, sigma=sigma, matched=True)
+        self._drift.hand_over(state, np.eye(POSE_DIM))
         self.map.clear()
 
     def pose_covariance(self, state: NavState) -> Array:

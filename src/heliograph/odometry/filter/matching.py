@@ -17,7 +17,7 @@ from heliograph.odometry.filter.calibrating import CalibrationTerms
 from heliograph.odometry.filter.error_state import mounting_error
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.update import FilterUpdate, iterated_update
-from heliograph.registration import MatchSettings, NormalEquations, linearize
+from heliograph.registration import MatchSettings, NormalEquations, linearize, true_share
 
 __all__ = ["AdaptiveNoise", "ScanMatcher", "Thinning", "register"]
 
@@ -143,6 +143,7 @@ def register(
         measurement = ScanMeasurement.of(sums)
         if mounted is not None:
             measurement = measurement.at_mounting(mounting_error(mounted.T_imu_lidar, state.T_imu_lidar))
+        measurement = measurement.only_true(true_share(sums))
         if terms.rate_change is not None:
             measurement = measurement.with_clock(terms.rate_change)
         return measurement.scaled(1.0 / config.correlation)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import Array, freeze
 from heliograph.data.error_layout import CLOCK, GYRO_BIAS, MOUNTING, POSE, VELOCITY
-from heliograph.registration import NormalEquations
+from heliograph.registration import NormalEquations, TrueShare, true_share
 
 __all__ = ["ScanMeasurement"]
 
@@ -32,12 +32,15 @@ class ScanMeasurement:
         Weighted ``J^T r``.
     sums : NormalEquations
         What the registration found, every match counting as an independent one.
+    blind : (6, 6) float64 or None
+        Projection of an error of the pose onto what was not seen; None where all was.
     """
 
     columns: NDArray[np.intp]
     information: Array
     gradient: Array
     sums: NormalEquations
+    blind: Array | None = None
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -55,6 +58,16 @@ class ScanMeasurement:
         """
         mounting = self.sums.columns_of("mounting")
         return replace(self, gradient=self.gradient + self.information[:, mounting] @ error)
+
+    def only_true(self, found: TrueShare) -> ScanMeasurement:
+        """Return the measurement without the information that noise of the planes' normals feigns."""
+        pose = true_share(self.sums, self.sums.columns_of("pose"))
+        return replace(
+            self,
+            information=found.information(),
+            gradient=found.gradient(self.gradient),
+            blind=None if (pose.share > 0.0).all() else pose.blind(),
+        )
 
     def with_clock(self, rate_change: Array) -> ScanMeasurement:
         """Return the measurement with the column of the clock's offset.
