@@ -248,8 +248,8 @@ class FilterConfig:
     kernel: float = 3.0
     gate: float = 2.5
     max_kernel: float = 1.0
-    correlation: float = 30.0
-    systematic: float = 0.06
+    correlation: float = 3.0
+    systematic: float = 0.02
     fallback_stride: int = 2
     min_matches: int = 50
     vague_share: float = 0.6

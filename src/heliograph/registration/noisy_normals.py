@@ -60,6 +60,12 @@ class TrueShare:
         """Return what can be known, ``S^T H S`` (C, C)."""
         return np.asarray((self.duals.T * self.share**2) @ self.duals)
 
+    def covariance(self) -> Array:
+        """Return the inverse of that over what is seen, and nothing along the rest, (C, C)."""
+        seen = self.share > 0.0
+        V = self.directions[:, seen]
+        return np.asarray((V / self.share[seen] ** 2) @ V.T)
+
     def gradient(self, gradient: Array) -> Array:
         """Return the part ``S^T b`` (C,) of a gradient that goes with it."""
         return np.asarray(self.duals.T @ (self.share * (self.directions.T @ gradient)))

@@ -102,10 +102,7 @@ class FilterCore:
 
         if fit is not None or self._keeper.empty:
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
-            blind = fit.measurement.blind if fit is not None else None
-            posterior = self._keeper.extend(  # (9)
-                points_imu, pose, posterior, sigma=self.noise.sigma, matched=fit is not None, blind=blind
-            )
+            posterior = self._keeper.extend(points_imu, pose, posterior, fit)  # (9)
         watch.lap("map")
 
         intensity = _taken(scan.intensity, keep) if scan.intensity is not None else None

@@ -32,17 +32,14 @@ from heliograph.lie import s2, so3
 __all__ = ["MapDrift"]
 
 
-_SYSTEMATIC_LEVER = 6.0
-"""Distance at which a systematic turn and a systematic shift move points alike [m]."""
-
-
 class MapDrift:
     """Covariance of the local map's frame against the odom frame's origin, and with the state's errors.
 
     Parameters
     ----------
     systematic : float
-        Standard deviation of B in position, as a share of the range noise.
+        What does not average out within a scan, as a share of one match's error: however many matches, a scan's pose is
+        known no better than from ``1 / systematic^2`` independent ones an axis.
     """
 
     def __init__(self, systematic: float) -> None:
@@ -79,17 +76,16 @@ class MapDrift:
         covariance = kept @ P @ kept.T
         return replace(state, covariance=0.5 * (covariance + covariance.T))
 
-    def grow(self, state: NavState, share: float, *, sigma: float, matched: bool) -> NavState:
-        """Account for a scan of which ``share`` was new to the map and whose pose was ``matched`` or just defined.
+    def grow(self, state: NavState, share: float, unit_covariance: Array | None) -> NavState:
+        """Account for a scan of which ``share`` was new to the map; return the state with what a turn of it does there.
 
-        Returns the state with what a turn of the frame does to it. ``sigma`` is the range noise across planes [m].
+        ``unit_covariance`` (6, 6) is that of a pose matched with one independent match an axis; None where the pose was
+        not matched but just defined.
         """
         self._pending += share
-        if not matched:
+        if unit_covariance is None:
             return state  # the first scan's pose is exact by definition: its map counts at the first pose that leans on it
-        position = self._systematic * sigma
-        B = np.diag([(position / _SYSTEMATIC_LEVER) ** 2] * 3 + [position**2] * 3)
-        step = self._pending * (state.covariance[POSE, POSE] + B)
+        step = self._pending * (state.covariance[POSE, POSE] + self._systematic**2 * unit_covariance)
         self._pending = 0.0
         N, turned = _frame_by_pose(state), turned_frame(state)
         self._frame = self._frame + N @ step @ N.T

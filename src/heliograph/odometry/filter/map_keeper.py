@@ -12,6 +12,8 @@ from heliograph.data.error_layout import POSE_DIM
 from heliograph.imu import ErrorGrowth
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.drift import MapDrift
+from heliograph.odometry.filter.measurement import ScanMeasurement
+from heliograph.odometry.filter.update import FilterUpdate
 
 __all__ = ["MapKeeper"]
 
@@ -47,10 +49,7 @@ class MapKeeper:
         points_imu: NDArray[np.float32],
         pose: Array,
         state: NavState,
-        *,
-        sigma: float,
-        matched: bool,
-        blind: Array | None = None,
+        fit: FilterUpdate[ScanMeasurement] | None,
     ) -> NavState:
         """Insert a scan, account for what the map's frame may have drifted by that, and forget what is far away.
 
@@ -64,18 +63,14 @@ class MapKeeper:
             Where to insert them.
         state : NavState
             The state at the scan's end.
-        sigma : float
-            Range noise across planes [m].
-        matched : bool
-            Whether the scan's pose was matched to the map, or defines it.
-        blind : (6, 6) float64, optional
-            Projects an error of the pose onto what the match did not see, if anything.
+        fit : FilterUpdate or None
+            How the scan was matched to the map; None where its pose defines it.
         """
         self.scans = 1 if self.empty else self.scans + 1
         share = self.map.insert(points_imu, pose)
-        if blind is not None:
-            state = self._drift.hand_over(state, blind)
-        state = self._drift.grow(state, share, sigma=sigma, matched=matched)
+        if fit is not None and fit.measurement.blind is not None:
+            state = self._drift.hand_over(state, fit.measurement.blind)
+        state = self._drift.grow(state, share, fit.measurement.unit_covariance if fit is not None else None)
         if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:
             self.map.prune(state.p_odom)
             self._pruned_at = state.p_odom

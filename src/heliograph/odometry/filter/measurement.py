@@ -34,6 +34,9 @@ class ScanMeasurement:
         What the registration found, every match counting as an independent one.
     blind : (6, 6) float64 or None
         Projection of an error of the pose onto what was not seen; None where all was.
+    unit_covariance : (6, 6) float64 or None
+        What three independent matches, one an axis, would leave open of the pose along what was seen if they were spread
+        as the scan's were; their mean over all matches, so that N tell N / 3 times as much.
     """
 
     columns: NDArray[np.intp]
@@ -41,6 +44,7 @@ class ScanMeasurement:
     gradient: Array
     sums: NormalEquations
     blind: Array | None = None
+    unit_covariance: Array | None = None
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -67,6 +71,7 @@ class ScanMeasurement:
             information=found.information(),
             gradient=found.gradient(self.gradient),
             blind=None if (pose.share > 0.0).all() else pose.blind(),
+            unit_covariance=pose.covariance() * self.sums.robust_weight / 3.0,
         )
 
     def with_clock(self, rate_change: Array) -> ScanMeasurement:
