@@ -362,7 +362,7 @@ inline void accumulate(const double* J, int columns, double r, double w, double 
 // each power of dt that the motion's columns ask for. Order: T (xx xy xz yy yz zz), [p] T (row-major), [p] T [p]^T.
 inline void accumulate_feigned(const float* p, const double* m, double scale, double dt, int powers, NormalSums* sums) {
   const double x = p[0], y = p[1], z = p[2];
-  double a[kFeigned];
+  double a[kFeigned] = {};
   a[0] = scale * (1.0 - m[0] * m[0]);
   a[1] = -scale * m[0] * m[1];
   a[2] = -scale * m[0] * m[2];

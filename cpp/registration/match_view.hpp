@@ -39,7 +39,7 @@ struct MatchInput {
 };
 
 constexpr int kRow = 18;      // errors at most: pose, motion, mounting, six each
-constexpr int kFeigned = 21;  // numbers of the information that noise of the normals feigns, for each power of time
+constexpr int kFeigned = 24;  // numbers of the information that noise of the normals feigns, for each power of time; 21 in use
 
 struct NormalSums {
   double information[kRow * kRow];

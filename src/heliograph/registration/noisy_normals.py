@@ -86,16 +86,22 @@ def true_share(equations: NormalEquations, columns: slice = slice(None)) -> True
         Columns to look at, the others being known; all of them by default.
     """
     H, F = equations.information[columns, columns], equations.feigned[columns, columns]
+    whitening, unseen = _whitening(H)
+    feigned, turn = np.linalg.eigh(whitening.T @ F @ whitening + np.diag(2.0 * unseen))
+    feigned, directions = feigned[::-1], (whitening @ turn)[:, ::-1]
+    chance = (1.0 + _SIGMAS * _scatter(equations)) * feigned
+    share = np.where(chance < 1.0, 1.0 - feigned, 0.0)
+    return TrueShare(feigned=feigned, share=share, directions=directions, duals=directions.T @ H)
+
+
+def _whitening(H: Array) -> tuple[Array, Array]:
+    """Return W with ``W^T H W = 1``, and 1 for each of its columns that stands for something not seen at all, else 0."""
     diagonal = np.diag(H)
     scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
     values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
     seen = values > _UNSEEN
-    whitened = scale[:, None] * vectors * np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
-    feigned, turn = np.linalg.eigh(whitened.T @ F @ whitened + np.diag(np.where(seen, 0.0, 2.0)))
-    feigned, directions = feigned[::-1], (whitened @ turn)[:, ::-1]
-    chance = (1.0 + _SIGMAS * _scatter(equations)) * feigned
-    share = np.where(chance < 1.0, 1.0 - feigned, 0.0)
-    return TrueShare(feigned=feigned, share=share, directions=directions, duals=directions.T @ H)
+    root = np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)
+    return scale[:, None] * vectors * root, np.where(seen, 0.0, 1.0)
 
 
 def _scatter(equations: NormalEquations) -> float:

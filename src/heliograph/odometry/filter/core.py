@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.cloud import deskew, range_gate
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, NavState, OnlineCalibration, Scan, ScanResult
@@ -16,7 +17,7 @@ from heliograph.imu import ImuPath
 from heliograph.maps import LocalMap, VoxelMap
 from heliograph.odometry.filter.calibrating import calibration_of
 from heliograph.odometry.filter.map_keeper import MapKeeper
-from heliograph.odometry.filter.matching import AdaptiveNoise, ScanMatcher
+from heliograph.odometry.filter.matching import AdaptiveNoise, ScanMatcher, sweep_noise
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.motion import MotionModel, corrected_path, rate_change, sweep_path
 from heliograph.odometry.filter.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
@@ -64,6 +65,7 @@ class FilterCore:
         )
         self._matcher = ScanMatcher(config, threads=threads)
         self._history: ImuPath | None = None
+        self._sweep_noise: Array | None = None
         self._count = 0
 
     @property
@@ -127,6 +129,7 @@ class FilterCore:
         ahead = self._motion.predict(self.state, imu, end_ns)
         self._calibration.grow(ahead.growth)
         self._keeper.predicted(ahead.growth)
+        self._sweep_noise = sweep_noise(ahead.growth) if self._motion.inertial else None
         return ahead.state, ahead.path
 
     def _match(
@@ -143,7 +146,7 @@ class FilterCore:
                 return predicted
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
-        fit = self._matcher.match(prior, self.map, points_at, before_end, terms)
+        fit = self._matcher.match(prior, self.map, points_at, before_end, terms, self._sweep_noise)
         if fit is not None:
             self._calibration.learn(fit.measurement)
             self._keeper.updated(fit.retained)

@@ -76,16 +76,19 @@ class MapDrift:
         covariance = kept @ P @ kept.T
         return replace(state, covariance=0.5 * (covariance + covariance.T))
 
-    def grow(self, state: NavState, share: float, unit_covariance: Array | None) -> NavState:
-        """Account for a scan of which ``share`` was new to the map; return the state with what a turn of it does there.
+    def begin(self, share: float) -> None:
+        """Account for a scan that was not matched: its pose is exact by definition.
 
-        ``unit_covariance`` (6, 6) is that of a pose matched with one independent match an axis; None where the pose was
-        not matched but just defined.
+        What it added to the map, the ``share`` that was new, counts at the first pose that leans on it.
         """
         self._pending += share
-        if unit_covariance is None:
-            return state  # the first scan's pose is exact by definition: its map counts at the first pose that leans on it
-        step = self._pending * (state.covariance[POSE, POSE] + self._systematic**2 * unit_covariance)
+
+    def grow(self, state: NavState, share: float, unit_covariance: Array) -> NavState:
+        """Account for a matched scan of which ``share`` was new to the map; return the state in the frame then.
+
+        ``unit_covariance`` (6, 6) is that of a pose matched with one independent match an axis.
+        """
+        step = (self._pending + share) * (state.covariance[POSE, POSE] + self._systematic**2 * unit_covariance)
         self._pending = 0.0
         N, turned = _frame_by_pose(state), turned_frame(state)
         self._frame = self._frame + N @ step @ N.T

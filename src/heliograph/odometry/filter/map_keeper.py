@@ -68,9 +68,14 @@ class MapKeeper:
         """
         self.scans = 1 if self.empty else self.scans + 1
         share = self.map.insert(points_imu, pose)
-        if fit is not None and fit.measurement.blind is not None:
-            state = self._drift.hand_over(state, fit.measurement.blind)
-        state = self._drift.grow(state, share, fit.measurement.unit_covariance if fit is not None else None)
+        if fit is None:
+            self._drift.begin(share)
+        else:
+            seen = fit.measurement.pose_share()
+            if not seen.share.all():
+                state = self._drift.hand_over(state, seen.blind())
+            # Matched with one match an axis; all of them tell a third of their number as much.
+            state = self._drift.grow(state, share, seen.covariance() * fit.measurement.sums.robust_weight / 3.0)
         if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:
             self.map.prune(state.p_odom)
             self._pruned_at = state.p_odom

@@ -32,19 +32,12 @@ class ScanMeasurement:
         Weighted ``J^T r``.
     sums : NormalEquations
         What the registration found, every match counting as an independent one.
-    blind : (6, 6) float64 or None
-        Projection of an error of the pose onto what was not seen; None where all was.
-    unit_covariance : (6, 6) float64 or None
-        What three independent matches, one an axis, would leave open of the pose along what was seen if they were spread
-        as the scan's were; their mean over all matches, so that N tell N / 3 times as much.
     """
 
     columns: NDArray[np.intp]
     information: Array
     gradient: Array
     sums: NormalEquations
-    blind: Array | None = None
-    unit_covariance: Array | None = None
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -65,14 +58,11 @@ class ScanMeasurement:
 
     def only_true(self, found: TrueShare) -> ScanMeasurement:
         """Return the measurement without the information that noise of the planes' normals feigns."""
-        pose = true_share(self.sums, self.sums.columns_of("pose"))
-        return replace(
-            self,
-            information=found.information(),
-            gradient=found.gradient(self.gradient),
-            blind=None if (pose.share > 0.0).all() else pose.blind(),
-            unit_covariance=pose.covariance() * self.sums.robust_weight / 3.0,
-        )
+        return replace(self, information=found.information(), gradient=found.gradient(self.gradient))
+
+    def pose_share(self) -> TrueShare:
+        """Return how much of the information on the pose is true if velocity and biases are known."""
+        return true_share(self.sums, self.sums.columns_of("pose"))
 
     def with_clock(self, rate_change: Array) -> ScanMeasurement:
         """Return the measurement with the column of the clock's offset.
@@ -88,6 +78,18 @@ class ScanMeasurement:
             information=G.T @ self.information @ G,
             gradient=G.T @ self.gradient,
         )
+
+    def blurred(self, covariance: Array) -> ScanMeasurement:
+        """Return the measurement of a pose and motion that are off by another error too, of ``covariance`` (12, 12).
+
+        By the inversion lemma ``(A^-1 + B)^-1 = (1 + A B)^-1 A``, and the gradient likewise.
+        """
+        size = len(self.columns)
+        B = np.zeros((size, size))
+        B[: len(covariance), : len(covariance)] = covariance
+        share = np.linalg.inv(np.eye(size) + self.information @ B)
+        information = share @ self.information
+        return replace(self, information=0.5 * (information + information.T), gradient=share @ self.gradient)
 
     def scaled(self, share: float) -> ScanMeasurement:
         """Return the measurement that counts only ``share`` of the matches as independent."""

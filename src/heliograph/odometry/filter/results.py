@@ -75,7 +75,7 @@ def scan_result(
     if fit is None:
         return replace(common, status=_status_without_match(outcome, index, pose_covariance, config))
     equations = fit.measurement.sums
-    mean_square = float(np.mean(np.einsum("ij,ij->i", points_imu, points_imu))) if len(points_imu) else 1.0
+    mean_square = float(np.einsum("ij,ij->", points_imu, points_imu)) / max(len(points_imu), 1)
     found = observability(equations, mean_square)
     return replace(
         common,

@@ -47,7 +47,7 @@ def test_known_ground_adds_nothing_and_the_first_scan_counts_with_the_next(rng):
     state = with_pose_covariance(random_state(rng), random_covariance(rng, 6, 0.02))
     state = replace(state, covariance=np.pad(state.covariance[:6, :6], (0, 11)))
     drift, unit = MapDrift(0.06), random_covariance(rng, 6, 0.5)
-    drift.grow(state, 1.0, None)
+    drift.begin(1.0)
     own = state.covariance[:6, :6]
     np.testing.assert_allclose(drift.pose_covariance(state), own, rtol=1e-12)
     drift.grow(state, 0.0, unit)

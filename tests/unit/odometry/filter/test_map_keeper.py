@@ -28,7 +28,8 @@ def keeper():
 
 
 def extended(keeper, state, cloud, *, matched=True):
-    measurement = SimpleNamespace(blind=None, unit_covariance=np.eye(6))
+    seen = SimpleNamespace(share=np.ones(6), covariance=lambda: np.eye(6))
+    measurement = SimpleNamespace(pose_share=lambda: seen, sums=SimpleNamespace(robust_weight=3.0))
     keeper.extend(cloud, np.eye(4), state, SimpleNamespace(measurement=measurement) if matched else None)
 
 
