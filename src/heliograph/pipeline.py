@@ -70,7 +70,7 @@ def run(
             results = odometry.finish()  # 4. nothing more comes: the scans that were waiting for it
         account.add(results)
     account.tally.add_events((*unsolved(recording.events, found), *odometry.events))
-    summary = account.conclude(sensors, odometry)  # 5. how good is it
+    summary = account.conclude(sensors, odometry, config)  # 5. how good is it
     account.close(summary)  # 6. every sink ends with what it has; a failure goes on from here
     return summary
 
@@ -223,16 +223,25 @@ class Account:
                 for sink in self._sinks:
                     sink.add(result)
 
-    def conclude(self, sensors: frozenset[str], odometry: Odometry) -> RunSummary:
+    def conclude(self, sensors: frozenset[str], odometry: Odometry, config: RunConfig) -> RunSummary:
         """Return the run's summary: what was counted, the verdict, the timings, and which way is up after all."""
         tally, failure = self.tally, self.failure
         T_map_odom = np.asarray(odometry.leveling(), dtype=np.float64)
-        status, reasons = judge(tally.statuses, sensors=sensors, held=tally.held, interrupted=self.interrupted)
+        blind = tally.blind.all(T_map_odom[:3, :3])
+        status, reasons = judge(
+            tally.statuses,
+            sensors=sensors,
+            held=tally.held,
+            interrupted=self.interrupted,
+            blind=blind,
+            budget=config.check.max_blind_growth,
+        )
         return tally.summary(
             status=status,
             reasons=reasons,
             interrupted=self.interrupted,
             sensors=tuple(name for name in ("lidar", "imu") if name in sensors),
+            blind_spans=blind,
             weakest_direction=T_map_odom[:3, :3] @ tally.weakest[1],
             wall_seconds=self.clock.wall,
             seconds=dict(self.clock.seconds),

@@ -38,6 +38,11 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
             f"worst weak direction: ({direction}) in the map frame at scan {weakest['scan']}, "
             f"eigenvalue {weakest['eigenvalue']:.3f} (1/3 would be even in all directions)"
         )
+    for span in facts["blind_spans"][:3]:
+        lines.append(
+            f"blind for {span['distance_m']:.0f} m at scans {span['scans'][0]} to {span['scans'][1]}: one-sigma along "
+            f"it {span['sigma_before_m']:.3f} m before, {span['sigma_after_m']:.3f} m after"
+        )
     lines.append(f"written to {folder}: {', '.join(facts['files'])}")
     lines.append(f"report: {folder / 'report.html'}")
     lines.append(f"status: {facts['status']}" + "".join(f"; {reason}" for reason in facts["reasons"]))

@@ -73,7 +73,7 @@ class ErrorGrowth:
         if self.clock_shift is not None:
             moved[NAV] += np.outer(self.clock_shift, errors[CLOCK] + 0.5 * self.span * errors[DRIFT])
             moved[CLOCK] += self.span * errors[DRIFT]
-        return moved
+        return np.asarray(moved)
 
     def grown(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance (K, K) at the interval's end from that at its start.

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.data import StartAccount
+from heliograph.output.blind_spans import BlindSpan
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 
@@ -90,6 +91,7 @@ def final_facts(
             "eigenvalue": summary.weakest_eigenvalue,
             "direction_map": summary.weakest_direction.tolist(),
         },
+        "blind_spans": [_blind(span) for span in summary.blind_spans],
         **({"start": _start(summary.start)} if summary.start is not None else {}),
         "warnings": [asdict(event) for event in summary.events],
         "timings": _timings(summary, writer_seconds, closing_seconds),
@@ -101,6 +103,19 @@ def final_facts(
         "files": [path.name for path in files],
     }
     return {key: plain(value) for key, value in account.items()}
+
+
+def _blind(span: BlindSpan) -> dict[str, Any]:
+    """Return a stretch along which one direction was not seen, with its cost in metres."""
+    return {
+        "scans": [span.first, span.last],
+        "stamps_ns": [span.begin_ns, span.end_ns],
+        "direction_map": span.direction.tolist(),
+        "distance_m": span.distance,
+        "sigma_before_m": span.sigma_before,
+        "sigma_after_m": span.sigma_after,
+        "growth_m": span.growth,
+    }
 
 
 def _start(start: StartAccount) -> dict[str, Any]:

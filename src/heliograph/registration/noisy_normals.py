@@ -2,9 +2,9 @@
 
 A row of the residuals is ``J = L n`` with a lever L and a normal that is an estimate. Its noise adds ``sum w/s^2 E[dJ^T
 dJ]`` to the information: six thousand planes of which none faces an axis, each off by a degree, seem to know the place
-along it to a centimetre. That is regression with errors in the regressors. The residual itself does not depend on them in
-expectation: with ``H`` the information as summed and ``F`` what noise feigns, the gradient is ``(H - F) d`` for a true error
-d, and its covariance is H. What can be known of d from it is
+along it to a centimetre. That is regression with errors in the regressors. The residual itself does not depend on them
+in expectation: with ``H`` the information as summed and ``F`` what noise feigns, the gradient is ``(H - F) d`` for a
+true error d, and its covariance is H. What can be known of d from it is
 
     (H - F) H^-1 (H - F) = S^T H S,   gradient S^T b,   S = 1 - H^-1 F
 
@@ -42,16 +42,19 @@ class TrueShare:
     share : (C,) float64
         Share of the Jacobian that counts, in [0, 1]; 0 where chance could have feigned all.
     directions : (C, C) float64
-        The directions as columns, in units of their sigma: ``directions^T H directions = 1``; zero where nothing was seen
-        at all.
+        The directions as columns, in units of their sigma: ``directions^T H directions = 1``; zero where nothing was
+        seen at all.
     duals : (C, C) float64
         ``directions^T H``: what of each direction is in an error.
+    matches : float
+        Sum of the matches' robust weights.
     """
 
     feigned: Array
     share: Array
     directions: Array
     duals: Array
+    matches: float
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -91,11 +94,13 @@ def true_share(equations: NormalEquations, columns: slice = slice(None)) -> True
     feigned, directions = feigned[::-1], (whitening @ turn)[:, ::-1]
     chance = (1.0 + _SIGMAS * _scatter(equations)) * feigned
     share = np.where(chance < 1.0, 1.0 - feigned, 0.0)
-    return TrueShare(feigned=feigned, share=share, directions=directions, duals=directions.T @ H)
+    return TrueShare(
+        feigned=feigned, share=share, directions=directions, duals=directions.T @ H, matches=equations.robust_weight
+    )
 
 
 def _whitening(H: Array) -> tuple[Array, Array]:
-    """Return W with ``W^T H W = 1``, and 1 for each of its columns that stands for something not seen at all, else 0."""
+    """Return W with ``W^T H W = 1``, and 1 for each of its columns that stands for something not seen at all."""
     diagonal = np.diag(H)
     scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0)
     values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
@@ -105,7 +110,7 @@ def _whitening(H: Array) -> tuple[Array, Array]:
 
 
 def _scatter(equations: NormalEquations) -> float:
-    """Return the relative standard deviation of what noise feigns, a sum of squares with one degree of freedom a plane."""
+    """Return the relative deviation of what noise feigns: a sum of squares with one degree of freedom a plane."""
     pose = equations.columns_of("pose")
     total = 0.5 * float(np.trace(equations.feigned[pose, pose][3:, 3:]))
     return float(np.sqrt(2.0 * _PER_PLANE * equations.feigned_square) / total) if total > 0.0 else 0.0

@@ -222,7 +222,9 @@ def long_tunnel(rng: np.random.Generator) -> Place:
         for x in np.linspace(begin + 1.0, begin + 14.0, 5):
             side = float(rng.choice([-1.0, 1.0]))
             primitives.append(_carton(rng, x + rng.normal(0.0, 0.3), side * 2.4, 0.0, (1.2, 1.0, 1.6)))
-            primitives.append(cylinder((x + rng.normal(0.0, 0.3), -side * 2.7, height / 2.0), 0.15, height, None, _STEEL))
+            primitives.append(
+                cylinder((x + rng.normal(0.0, 0.3), -side * 2.7, height / 2.0), 0.15, height, None, _STEEL)
+            )
     waypoints = np.array([(5.0, 0.0, 1.2), (length - 5.0, 0.0, 1.2)])
     return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=1.0, closed=False))
 

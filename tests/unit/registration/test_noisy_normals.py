@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_linearize import CONFIG, SETTINGS, AnyMap, scene
 
 from heliograph.config import MapConfig
 from heliograph.maps import VoxelMap
 from heliograph.registration import MatchSettings, NormalEquations, linearize, true_share
 from reference.matching import feigned_slowly
 from states import random_pose
-from test_linearize import CONFIG, SETTINGS, AnyMap, scene
 
 AXIS, SIDE, UP = np.eye(3)
 HALF = 2.1  # off the borders of the map's cubes
@@ -89,7 +89,9 @@ def test_along_a_tube_all_information_is_what_was_expected_of_noise(seed):
     left = whole.information()
     assert left[3, 3] < 1e-2 * equations.information[3, 3]  # position ...
     assert left[6, 6] < 1e-2 * equations.information[6, 6]  # ... and velocity along the axis
-    np.testing.assert_allclose(np.diag(left)[[0, 1, 2, 4, 5]], np.diag(equations.information)[[0, 1, 2, 4, 5]], rtol=0.1)
+    np.testing.assert_allclose(
+        np.diag(left)[[0, 1, 2, 4, 5]], np.diag(equations.information)[[0, 1, 2, 4, 5]], rtol=0.1
+    )
 
 
 def test_a_few_returns_that_face_the_axis_are_believed():
@@ -117,9 +119,9 @@ def test_gradient_and_covariance_of_the_true_part_are_honest(rng):
             row = np.hstack([np.cross(p, across), across])
             F += tilt**2 * row.T @ row / sigma**2
         equations = NormalEquations(
-            information=J.T @ J / sigma**2, gradient=J.T @ r / sigma**2, feigned=F, feigned_square=0.0, blocks=("pose",),
-            weight=count / sigma**2, robust_weight=count, square=0.0, cost=0.0, matches=count, fallback_matches=0,
-            queries=count,
+            information=J.T @ J / sigma**2, gradient=J.T @ r / sigma**2, feigned=F, feigned_square=0.0,
+            blocks=("pose",), weight=count / sigma**2, robust_weight=count, square=0.0, cost=0.0,
+            matches=count, fallback_matches=0, queries=count,
         )  # fmt: skip
         share = true_share(equations)
         raw.append(np.linalg.solve(equations.information, equations.gradient))

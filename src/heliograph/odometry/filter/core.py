@@ -102,13 +102,14 @@ class FilterCore:
         points_imu = self._deskew(points, offsets, scan, sweep)  # (3), now with the final motion
         watch.lap("deskew")
 
+        seen = fit.measurement.pose_share() if fit is not None else None
         if fit is not None or self._keeper.empty:
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
-            posterior = self._keeper.extend(points_imu, pose, posterior, fit)  # (9)
+            posterior = self._keeper.extend(points_imu, pose, posterior, seen)  # (9)
         watch.lap("map")
 
         intensity = _taken(scan.intensity, keep) if scan.intensity is not None else None
-        return self._conclude(ScanOutcome(scan, posterior, path, points_imu, intensity, fit, len(picked)), watch)
+        return self._conclude(ScanOutcome(scan, posterior, path, points_imu, intensity, fit, seen, len(picked)), watch)
 
     def dead_reckon(self, end_ns: int, imu: ImuBatch) -> ScanResult:
         """Carry the state to ``end_ns`` on the motion model alone."""

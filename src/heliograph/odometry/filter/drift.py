@@ -11,8 +11,8 @@ is cautious after a loop.
 
 *Where it does not see*, in a tunnel along its axis, the map says nothing about where its frame is, and the next plane
 that does will have been placed by the pose of then. There the frame goes with the pose: all of the pose's error becomes
-the frame's, and the pose is exact in it. The two stay correlated (a velocity that is off has moved the frame and goes on
-doing so), which is kept along.
+the frame's, and the pose is exact in it. The two stay correlated (a velocity that is off has moved the frame and goes
+on doing so), which is kept along.
 
 A frame that turns leaves gravity and velocity behind, so in the frame they turn the other way.
 """
@@ -45,7 +45,9 @@ class MapDrift:
     def __init__(self, systematic: float) -> None:
         self._systematic = systematic
         self._frame = np.zeros((POSE_DIM, POSE_DIM))
-        self._cross: Array | None = None  # of the state's errors with the frame's, (K, 6); None: nothing was handed over
+        self._cross: Array | None = (
+            None  # of the state's errors with the frame's, (K, 6); None: nothing was handed over
+        )
         self._pending = 0.0
 
     def predicted(self, growth: ErrorGrowth) -> None:

@@ -12,8 +12,7 @@ from heliograph.data.error_layout import POSE_DIM
 from heliograph.imu import ErrorGrowth
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.drift import MapDrift
-from heliograph.odometry.filter.measurement import ScanMeasurement
-from heliograph.odometry.filter.update import FilterUpdate
+from heliograph.registration import TrueShare
 
 __all__ = ["MapKeeper"]
 
@@ -49,7 +48,7 @@ class MapKeeper:
         points_imu: NDArray[np.float32],
         pose: Array,
         state: NavState,
-        fit: FilterUpdate[ScanMeasurement] | None,
+        seen: TrueShare | None,
     ) -> NavState:
         """Insert a scan, account for what the map's frame may have drifted by that, and forget what is far away.
 
@@ -63,19 +62,18 @@ class MapKeeper:
             Where to insert them.
         state : NavState
             The state at the scan's end.
-        fit : FilterUpdate or None
-            How the scan was matched to the map; None where its pose defines it.
+        seen : TrueShare or None
+            What the match that gave the pose saw of it; None where the pose defines the map.
         """
         self.scans = 1 if self.empty else self.scans + 1
         share = self.map.insert(points_imu, pose)
-        if fit is None:
+        if seen is None:
             self._drift.begin(share)
         else:
-            seen = fit.measurement.pose_share()
             if not seen.share.all():
                 state = self._drift.hand_over(state, seen.blind())
             # Matched with one match an axis; all of them tell a third of their number as much.
-            state = self._drift.grow(state, share, seen.covariance() * fit.measurement.sums.robust_weight / 3.0)
+            state = self._drift.grow(state, share, seen.covariance() * seen.matches / 3.0)
         if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:
             self.map.prune(state.p_odom)
             self._pruned_at = state.p_odom

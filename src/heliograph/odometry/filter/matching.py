@@ -30,8 +30,8 @@ _FIRST_LEAF = 0.4  # cube edge that the first scan is thinned with [m]
 _LEAF_TOLERANCE = 0.1  # relative error of the number of points picked that leaves the edge as it is
 _LEAF_STEP = 2.0  # largest factor by which the edge changes from scan to scan
 _MOTION_DIM = GYRO_BIAS.stop  # errors of pose and motion
-# Variance of value, covariance of value and slope, variance of slope at zero of the line fitted to a Wiener process on [0, 1],
-# and of that fitted to the integral of one.
+# Variance of value, covariance of value and slope, variance of slope at zero of the line fitted to a Wiener process on
+# [0, 1], and of that fitted to the integral of one.
 _TURNED_LINE = (2.0 / 15.0, -1.0 / 10.0, 6.0 / 5.0)
 _MOVED_LINE = (1.0 / 105.0, -11.0 / 210.0, 13.0 / 35.0)
 _SCALE_ITERATIONS = 4  # an iterated update stays no longer at one scale of its kernel
@@ -74,13 +74,13 @@ class AdaptiveNoise:
 
 
 def sweep_noise(growth: ErrorGrowth) -> Array:
-    """Return the covariance (12, 12) of what an IMU's white noise within a sweep feigns of pose, velocity and gyro bias.
+    """Return what an IMU's white noise within a sweep feigns of pose, velocity and gyroscope bias, (12, 12).
 
-    At a time s before the sweep's end, noise of the rate has turned the points by ``W(s)``, a Wiener process of variance
-    ``q s``, and noise of the force has moved them by the integral of one. Matches tell these from errors of the state only by
-    their curvature: the line fitted through either, its value and slope at the end, is taken for an error of pose and bias,
-    or of pose and velocity. The numbers are the covariance of that line, by least squares over a sweep of even times; the
-    prediction has ``q T`` and ``q T^3 / 3`` as what noise has added to rotation and position over it.
+    At a time s before the sweep's end, noise of the rate has turned the points by ``W(s)``, a Wiener process of
+    variance ``q s``, and noise of the force has moved them by the integral of one. Matches tell these from errors of the
+    state only by their curvature: the line fitted through either, its value and slope at the end, is taken for an error
+    of pose and bias, or of pose and velocity. The numbers are the covariance of that line, by least squares over a sweep
+    of even times; the prediction has ``q T`` and ``q T^3 / 3`` as what noise has added to rotation and position over it.
     """
     added, T = growth.added, max(growth.span, 1e-3)
     B = np.zeros((_MOTION_DIM, _MOTION_DIM))

@@ -78,7 +78,7 @@ def test_what_is_handed_over_leaves_the_pose_in_the_world_as_uncertain_as_it_was
 
 
 def test_a_drift_that_is_handed_over_scan_by_scan_is_that_of_the_velocity(rng):
-    """Blind along an axis with a velocity that is off by as much as it may be: the way's sigma is the velocity's times time."""
+    """Blind along an axis with a velocity that is off: the way's sigma is its sigma times time."""
     state = random_state(rng)
     covariance = np.zeros((17, 17))
     covariance[6:9, 6:9] = 0.1**2 * np.eye(3)
