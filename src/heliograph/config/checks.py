@@ -36,8 +36,8 @@ class CheckConfig:
     warn_vibration_gyro, max_vibration_gyro : float
         The same of the angular rate [rad/s].
     max_blind_growth : float
-        One-sigma of the position that a stretch along which one direction is not seen may cost; more, and a run is called
-        degraded [m].
+        One-sigma of the position that a stretch along which one direction is not seen may cost; more, and a run is
+        called degraded [m].
     """
 
     min_rate: float = 5.0

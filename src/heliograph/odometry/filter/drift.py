@@ -6,8 +6,8 @@ the map inherits the error of its pose, in one of two ways.
 
 *Where the map sees*, new planes are a small share ``s`` of what the next scans are matched to. The frame that the map
 defines walks randomly, with a step of ``s P`` for every new piece, P being its pose's covariance. Walking on over known
-ground adds nothing. Coming back to old ground would take drift away again; the walk does not credit that, so the account
-is cautious after a loop.
+ground adds nothing. Coming back to old ground would take drift away again; the walk does not credit that, so the
+account is cautious after a loop.
 
 *Where it does not see*, in a tunnel along its axis, the map says nothing about where its frame is, and the next plane
 that does will have been placed by the pose of then. There the frame goes with the pose: all of the pose's error becomes

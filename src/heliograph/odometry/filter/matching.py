@@ -77,10 +77,11 @@ def sweep_noise(growth: ErrorGrowth) -> Array:
     """Return what an IMU's white noise within a sweep feigns of pose, velocity and gyroscope bias, (12, 12).
 
     At a time s before the sweep's end, noise of the rate has turned the points by ``W(s)``, a Wiener process of
-    variance ``q s``, and noise of the force has moved them by the integral of one. Matches tell these from errors of the
-    state only by their curvature: the line fitted through either, its value and slope at the end, is taken for an error
-    of pose and bias, or of pose and velocity. The numbers are the covariance of that line, by least squares over a sweep
-    of even times; the prediction has ``q T`` and ``q T^3 / 3`` as what noise has added to rotation and position over it.
+    variance ``q s``, and noise of the force has moved them by the integral of one. Matches tell these from errors of
+    the state only by their curvature: the line fitted through either, its value and slope at the end, is taken for an
+    error of pose and bias, or of pose and velocity. The numbers are the covariance of that line, by least squares over
+    a sweep of even times; the prediction has ``q T`` and ``q T^3 / 3`` as what noise has added to rotation and position
+    over it.
     """
     added, T = growth.added, max(growth.span, 1e-3)
     B = np.zeros((_MOTION_DIM, _MOTION_DIM))

@@ -15,7 +15,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import Array
+from heliograph.arrays import Array, freeze
 from heliograph.data import NavState
 from heliograph.data.error_layout import POSE, POSITION, ROTATION
 from heliograph.odometry.filter.error_state import local, reset_jacobian, retract
@@ -56,7 +56,10 @@ class FilterUpdate(Generic[L]):
     retained: Array
     """What is left of an error of the prior in the posterior, (K, K)."""
     nis: float
-    """Squared correction of pose in units of its predicted uncertainty; about 6 on average when that is honest."""
+    """Squared correction of pose in units of its predicted uncertainty; 6 on average if matches erred independently."""
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def embedded(measurement: Linearization, dim: int) -> tuple[Array, Array]:

@@ -28,9 +28,8 @@ def keeper():
 
 
 def extended(keeper, state, cloud, *, matched=True):
-    seen = SimpleNamespace(share=np.ones(6), covariance=lambda: np.eye(6))
-    measurement = SimpleNamespace(pose_share=lambda: seen, sums=SimpleNamespace(robust_weight=3.0))
-    keeper.extend(cloud, np.eye(4), state, SimpleNamespace(measurement=measurement) if matched else None)
+    seen = SimpleNamespace(share=np.ones(6), covariance=lambda: np.eye(6), matches=3.0)
+    keeper.extend(cloud, np.eye(4), state, seen if matched else None)
 
 
 def test_map_begun_anew_is_as_uncertain_as_the_pose_that_ties_it(keeper, rng):
