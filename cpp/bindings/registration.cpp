@@ -10,9 +10,12 @@ Tuple to_tuple(const NormalEquations& sums, const MatchBlocks& blocks) {
   const auto n = static_cast<size_t>(blocks.columns());
   std::vector<double> information(sums.information, sums.information + n * n);
   std::vector<double> gradient(sums.gradient, sums.gradient + n);
-  static TupleType type{"MatchSums", "information gradient weight robust_weight square cost matches fallback_matches"};
+  std::vector<double> feigned(sums.feigned, sums.feigned + n * n);
+  static TupleType type{
+      "MatchSums",
+      "information gradient feigned feigned_square weight robust_weight square cost matches fallback_matches"};
   return named(type, to_numpy<double>(std::move(information), {n, n}), to_numpy<double>(std::move(gradient), {n}),
-               sums.weight, sums.robust_weight, sums.square, sums.cost, sums.matches, sums.fallback_matches);
+               to_numpy<double>(std::move(feigned), {n, n}), sums.feigned_square, sums.weight, sums.robust_weight, sums.square, sums.cost, sums.matches, sums.fallback_matches);
 }
 
 void check(const MatchSettings& s) {
@@ -50,17 +53,17 @@ Tuple nearest_points(const VoxelMap& map, const Points& points, const Floats& be
 
 Tuple query(const VoxelMap& map, const Vectors& points, double gate, int fallback_stride, double fallback_range) {
   const size_t n = points.shape(0);
-  std::vector<float> normal(3 * n), variance(n);
+  std::vector<float> normal(3 * n), variance(n), tilt(n);
   std::vector<double> point(3 * n);
   std::vector<uint8_t> source(n);
   {
     nb::gil_scoped_release release;
     query_planes(map, span_of(points), settings(gate, 0.0, 1.0, fallback_stride, fallback_range, {false, false}),
-                 {normal.data(), point.data(), variance.data(), source.data()});
+                 {normal.data(), point.data(), variance.data(), tilt.data(), source.data()});
   }
-  static TupleType type{"Planes", "normal point variance source"};
+  static TupleType type{"Planes", "normal point variance tilt source"};
   return named(type, to_numpy<float>(std::move(normal), {n, 3}), to_numpy<double>(std::move(point), {n, 3}),
-               to_numpy<float>(std::move(variance), {n}), to_numpy<uint8_t>(std::move(source), {n}));
+               to_numpy<float>(std::move(variance), {n}), to_numpy<float>(std::move(tilt), {n}), to_numpy<uint8_t>(std::move(source), {n}));
 }
 
 }  // namespace

@@ -18,11 +18,17 @@ constexpr size_t kBatch = 16;
 constexpr uint32_t kFull = ~uint32_t{0};
 // About a millimetre at 10 m: de-skewing the same point from another driver's message differs by less.
 constexpr int kRankBits = 10;
+// How many times its variance a finer normal may be off a coarser one, squared and an axis, and still be taken for the
+// same: chance goes beyond that in one of fifty cubes. Beyond the second it is a bend for certain (one of 8 000).
+constexpr double kChance = 4.0, kBend = 9.0;
+constexpr double kFlat = 9.0;  // least ratio of the spreads along and across a plane: less is an edge or a sliver
+constexpr double kBorrowed = 10.0;  // points whose scatter a plane borrows from the coarser one
 
 }  // namespace
 
 VoxelMap::VoxelMap(const VoxelMapSettings& settings)
-    : settings_(settings), points_(settings.levels > 1 ? 2.0 * settings.voxel : settings.voxel, settings.point_spacing) {
+    : settings_(settings), points_(settings.levels > 1 ? 2.0 * settings.voxel : settings.voxel, settings.point_spacing),
+      touched_(static_cast<size_t>(std::clamp(settings.levels, 1, 8))) {
   if (settings.voxel <= 0.0 || settings.levels < 1 || settings.levels > 8)
     throw std::invalid_argument("a voxel map needs a positive voxel and 1 to 8 levels");
 }
@@ -103,7 +109,7 @@ void VoxelMap::add(const Delta& delta, uint64_t key, uint32_t id) {
   int k = 0;
   for (int i = 0; i < 3; ++i)
     for (int j = i; j < 3; ++j, ++k) m.outer[k] += delta.outer[k] + s[i] * d[j] + d[i] * s[j] + n * d[i] * d[j];
-  if (m.touched != insertions_) touched_.push_back(id);
+  if (m.touched != insertions_) touched_[key_level(key)].push_back(id);
   m.touched = insertions_;
 }
 
@@ -162,7 +168,7 @@ void VoxelMap::refit(uint32_t id) {
   Plane& plane = planes_[id];
   const double least = settings_.min_spread * size;
   if (thinnest > settings_.max_thickness * settings_.max_thickness || spread[1] < least * least ||
-      spread[1] < 4.0 * thinnest) {
+      spread[1] < kFlat * thinnest) {
     plane.variance = -1.0F;
     return;
   }
@@ -171,19 +177,60 @@ void VoxelMap::refit(uint32_t id) {
     plane.normal[i] = static_cast<float>(normal[i]);
     plane.centroid[i] = static_cast<float>(mean[i]);
   }
-  plane.variance = static_cast<float>(std::max(thinnest, 1e-8) / n);
-  plane.inv_spread = static_cast<float>(1.0 / spread[1]);
+  // Three numbers of the plane were fitted to the same points, so their scatter about it is too small by as many of them.
+  plane.variance = static_cast<float>(std::max(thinnest, 1e-8) / std::max(n - 3.0, 1.0));
+  // First order of the eigenvector's error, for the axis along which it is worse.
+  plane.inv_spread = static_cast<float>(spread[1] / ((spread[1] - thinnest) * (spread[1] - thinnest)));
+  lean_on_coarser(m, &plane);
+}
+
+// A plane of a quarter of a metre knows its normal to a degree or two, the one around it many times better. Where both
+// agree within that, as on a wall, they are averaged by what they know; what they differ by beyond chance counts as the
+// surface's own bend (an estimate of one sample, as in empirical Bayes), and the finer one is left alone.
+void VoxelMap::lean_on_coarser(const Moments& m, Plane* plane) const {
+  const uint64_t level = key_level(m.key) + 1;
+  if (level >= static_cast<uint64_t>(settings_.levels)) return;
+  const Cube cube = unpack(m.key);
+  const FlatIndex::Slot* slot = index_.find(pack(level, {cube.x >> 1, cube.y >> 1, cube.z >> 1}));
+  if (slot == nullptr || planes_[slot->value].variance < 0.0F) return;
+  const Plane& coarse = planes_[slot->value];
+  // The scatter of eight points about their plane is a poor guess of the noise; the coarser cube's counts as ten more.
+  const double free = std::max(static_cast<double>(m.fitted) - 3.0, 1.0);
+  const double around = std::max(static_cast<double>(moments_[slot->value].fitted) - 3.0, 1.0);
+  const double thin = free * static_cast<double>(plane->variance), thick = around * static_cast<double>(coarse.variance);
+  plane->variance = static_cast<float>(std::max(thin, (free * thin + kBorrowed * thick) / (free + kBorrowed)) / free);
+  double dot = 0.0, apart = 0.0;
+  for (int i = 0; i < 3; ++i) dot += static_cast<double>(plane->normal[i]) * static_cast<double>(coarse.normal[i]);
+  const double sign = dot < 0.0 ? -1.0 : 1.0;
+  for (int i = 0; i < 3; ++i) {
+    const double d = static_cast<double>(plane->normal[i]) - sign * static_cast<double>(coarse.normal[i]);
+    apart += 0.5 * d * d;  // a normal is off about two axes
+  }
+  const double own = static_cast<double>(plane->variance) * static_cast<double>(plane->inv_spread);
+  const double known = static_cast<double>(coarse.variance) * static_cast<double>(coarse.inv_spread);
+  const double theirs = known + std::max(apart - kChance * own, 0.0);
+  Eigen::Vector3d normal;
+  for (int i = 0; i < 3; ++i)
+    normal[i] = theirs * static_cast<double>(plane->normal[i]) + own * sign * static_cast<double>(coarse.normal[i]);
+  normal.normalize();
+  for (int i = 0; i < 3; ++i) plane->normal[i] = static_cast<float>(normal[i]);
+  // What was kept of the difference is an error if the surface is even, and it was kept because it was large.
+  const double kept = theirs / (own + theirs);
+  const double tilt = apart > kBend * own ? own * kept : std::max(known + kept * kept * apart, own * kept);
+  plane->inv_spread = static_cast<float>(tilt / static_cast<double>(plane->variance));
 }
 
 double VoxelMap::insert(std::span<const float> points_body, const double* T_odom_body) {
   gather(points_body, T_odom_body);
-  touched_.clear();
+  for (auto& ids : touched_) ids.clear();
   ++insertions_;
   size_t created = 0;
   for (size_t begin = 0; begin < deltas_.size(); begin += kBatch)
     created += add_batch(std::span<const Delta>(deltas_).subspan(begin, std::min(kBatch, deltas_.size() - begin)));
   add_raw_points();
-  for (const uint32_t id : touched_) refit(id);
+  // Coarse cubes first: finer ones lean on them.
+  for (size_t level = touched_.size(); level-- > 0;)
+    for (const uint32_t id : touched_[level]) refit(id);
   const size_t surroundings = coarse_cubes();
   return surroundings == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(surroundings);
 }

@@ -25,7 +25,8 @@ struct Plane {
   float normal[3];
   float centroid[3];   // relative to the cube's centre
   float variance;      // of the centroid across the plane [m^2]; negative: no plane
-  float inv_spread;    // 1 / smaller in-plane variance [1/m^2]: how fast the plane's uncertainty grows away from it
+  float inv_spread;    // variance of the normal about either axis across it by `variance` [1/m^2]; of a plane on its own,
+                       // 1 / its smaller variance along itself: how fast its uncertainty grows away from it
 };
 
 struct Moments {
@@ -82,6 +83,7 @@ class VoxelMap {
   void add(const Delta& delta, uint64_t key, uint32_t id);
   void add_raw_points();
   void refit(uint32_t id);
+  void lean_on_coarser(const Moments& m, Plane* plane) const;
   size_t coarse_cubes();
 
   VoxelMapSettings settings_;
@@ -92,7 +94,7 @@ class VoxelMap {
   // Of one insertion; kept because fresh memory costs more than what is done with it.
   FlatIndex seen_{15};
   std::vector<Delta> deltas_;
-  std::vector<uint32_t> touched_;
+  std::vector<std::vector<uint32_t>> touched_;  // a level each
   uint32_t insertions_ = 0;
 };
 

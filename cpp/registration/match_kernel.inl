@@ -13,6 +13,7 @@ struct FoundPlane {
   float normal[3];
   float offset[3];  // query minus a point of the plane
   float variance;   // of the plane at the query, across it [m^2]
+  float tilt;       // variance of the normal about either axis across it [rad^2]
   uint8_t source;   // 0 none, 1 + level, 255 neighbours
 };
 
@@ -69,7 +70,8 @@ inline bool try_plane(const MapView& map, int level, const int64_t* c, const dou
   out->offset[0] = dx;
   out->offset[1] = dy;
   out->offset[2] = dz;
-  out->variance = plane.variance * (1.0F + (dx * dx + dy * dy + dz * dz - r * r) * plane.inv_spread);
+  out->tilt = plane.variance * plane.inv_spread;
+  out->variance = plane.variance + out->tilt * (dx * dx + dy * dy + dz * dz - r * r);
   out->source = static_cast<uint8_t>(1 + level);
   return true;
 }
@@ -269,6 +271,9 @@ inline bool find_neighbour_plane(const MapView& map, const double* q, float gate
   if (!(r <= gate && r >= -gate)) return false;  // also where q is not a number
   // Five points tell little about their own spread: the thickness allowed stands in for it.
   out->variance = static_cast<float>(thickness2 / kNeighbours * (1.0 + (d2 - r * r) / values[1]));
+  // Their own spread, right on average (three of five numbers were fitted), sums up to what the normals' noise feigns.
+  const double thin = values[0] > 0.0 ? values[0] / (kNeighbours - 3) : 0.0, apart = values[1] - values[0];
+  out->tilt = static_cast<float>(thin * values[1] / (apart * apart));
   out->source = 255;
   return true;
 }
@@ -352,6 +357,37 @@ inline void accumulate(const double* J, int columns, double r, double w, double 
   sums->square += w * r * r;
 }
 
+// What noise of the normal alone adds to the information in expectation. The row is L n with a lever L, and n is off by a
+// tilt of variance `tilt` about either axis across it: w / s^2 L T L^T with T = tilt (1 - m m^T), here in body axes and for
+// each power of dt that the motion's columns ask for. Order: T (xx xy xz yy yz zz), [p] T (row-major), [p] T [p]^T.
+inline void accumulate_feigned(const float* p, const double* m, double scale, double dt, int powers, NormalSums* sums) {
+  const double x = p[0], y = p[1], z = p[2];
+  double a[kFeigned] = {};
+  a[0] = scale * (1.0 - m[0] * m[0]);
+  a[1] = -scale * m[0] * m[1];
+  a[2] = -scale * m[0] * m[2];
+  a[3] = scale * (1.0 - m[1] * m[1]);
+  a[4] = -scale * m[1] * m[2];
+  a[5] = scale * (1.0 - m[2] * m[2]);
+  const double T[9] = {a[0], a[1], a[2], a[1], a[3], a[4], a[2], a[4], a[5]};
+  double* C = a + 6;
+  for (int j = 0; j < 3; ++j) {
+    C[j] = y * T[6 + j] - z * T[3 + j];
+    C[3 + j] = z * T[j] - x * T[6 + j];
+    C[6 + j] = x * T[3 + j] - y * T[j];
+  }
+  a[15] = y * C[2] - z * C[1];
+  a[16] = z * C[0] - x * C[2];
+  a[17] = x * C[1] - y * C[0];
+  a[18] = z * C[3] - x * C[5];
+  a[19] = x * C[4] - y * C[3];
+  a[20] = x * C[7] - y * C[6];
+  double power = 1.0;
+  for (int k = 0; k < powers; ++k, power *= dt)
+    for (int i = 0; i < kFeigned; ++i) sums->feigned[k * kFeigned + i] += power * a[i];
+  sums->feigned_square += scale * scale;
+}
+
 // Geman-McClure: rho = r^2 c^2 / (c^2 + r^2) / 2, w = (c^2 / (c^2 + r^2))^2.
 inline double robust_weight(double r, double kernel) {
   if (kernel <= 0.0) return 1.0;
@@ -390,7 +426,13 @@ inline void planes_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
     const double inv_var = 1.0 / (in.sigma * in.sigma + static_cast<double>(plane.variance));
     double J[kRow];
     jacobian_row(in, k, plane, q, n, J);
-    accumulate(J, in.columns, r, robust_weight(r, in.kernel), inv_var, sums);
+    const double w = robust_weight(r, in.kernel);
+    accumulate(J, in.columns, r, w, inv_var, sums);
+    double m[3];
+    rotate_back(in.T_odom_body, n, m);
+    const bool motion = in.before_end != nullptr;
+    accumulate_feigned(p, m, w * inv_var * static_cast<double>(plane.tilt), motion ? in.before_end[k] : 0.0,
+                       motion ? 3 : 1, sums);
     sums->cost += robust_cost(r, in.kernel) * inv_var;
     sums->matches += 1;
     sums->fallback_matches += fallback ? 1 : 0;
@@ -422,7 +464,7 @@ inline void points_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
 }
 
 inline void query_range(const MatchInput& in, const double* points, uint64_t begin, uint64_t end, float* normal,
-                        double* point, float* variance, uint8_t* source) {
+                        double* point, float* variance, float* tilt, uint8_t* source) {
   int unmatched = 0;
   for (uint64_t k = begin; k < end; ++k) {
     const double* q = points + 3 * k;
@@ -438,6 +480,7 @@ inline void query_range(const MatchInput& in, const double* points, uint64_t beg
       point[3 * k + static_cast<uint64_t>(i)] = q[i] - plane.offset[i];
     }
     variance[k] = plane.variance;
+    tilt[k] = plane.tilt;
     source[k] = plane.source;
   }
 }

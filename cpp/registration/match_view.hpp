@@ -38,11 +38,14 @@ struct MatchInput {
   int fallback_stride, columns;
 };
 
-constexpr int kRow = 18;  // errors at most: pose, motion, mounting, six each
+constexpr int kRow = 18;      // errors at most: pose, motion, mounting, six each
+constexpr int kFeigned = 24;  // numbers of the information that noise of the normals feigns, for each power of time; 21 in use
 
 struct NormalSums {
   double information[kRow * kRow];
   double gradient[kRow];
+  double feigned[3 * kFeigned];
+  double feigned_square;
   double weight, robust_weight, square, cost;
   int64_t matches, fallback_matches;
 };
@@ -52,7 +55,7 @@ struct MatchKernels {
   void (*planes)(const MatchInput&, uint64_t begin, uint64_t end, NormalSums*);
   void (*points)(const MatchInput&, uint64_t begin, uint64_t end, NormalSums*);
   void (*query)(const MatchInput&, const double* points, uint64_t begin, uint64_t end, float* normal, double* point,
-                float* variance, uint8_t* source);
+                float* variance, float* tilt, uint8_t* source);
 };
 
 MatchKernels baseline_match_kernels();

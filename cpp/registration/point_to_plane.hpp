@@ -32,6 +32,10 @@ struct MatchSettings {
 struct NormalEquations {
   double information[kMaxColumns * kMaxColumns] = {};  // row-major with `columns` columns in use
   double gradient[kMaxColumns] = {};
+  // What noise of the planes' normals alone adds to the information of pose and motion in expectation, and the sum of the
+  // squares of what each match adds to it, over the tilts.
+  double feigned[kMaxColumns * kMaxColumns] = {};
+  double feigned_square = 0.0;
   double weight = 0.0;       // sum of w / s^2
   double robust_weight = 0.0;  // sum of w
   double square = 0.0;       // sum of w r^2
@@ -55,11 +59,12 @@ NormalEquations match_planes(const VoxelMap& map, const MatchScan& scan, const M
 NormalEquations match_points(const VoxelMap& map, const MatchScan& scan, const MatchSettings& settings, int threads);
 
 // The plane of each point of the odom frame, if any: normal (N, 3), point on it (N, 3), variance across it at the query
-// (N,), and where it came from (N,): 0 none, 1 + level, or 255 the neighbours.
+// (N,), that of its normal about either axis across it (N,), and where it came from (N,): 0 none, 1 + level, or 255 the neighbours.
 struct PlaneQuery {
   float* normal;
   double* point;
   float* variance;
+  float* tilt;
   uint8_t* source;
 };
 void query_planes(const VoxelMap& map, std::span<const double> points_odom, const MatchSettings& settings, PlaneQuery out);

@@ -83,7 +83,7 @@ def run(
                 slam.add(results)
             account.add(results)
         account.tally.add_events((*unsolved(recording.events, found), *odometry.events, *slam.events))
-        summary = account.conclude(sensors, odometry, slam)  # 6. how good is it, and where has it been after all
+        summary = account.conclude(sensors, odometry, slam, config)  # 6. how good is it, and where has it been after all
     account.close(summary)  # 7. every sink ends with what it has; a failure goes on from here
     return summary
 
@@ -259,7 +259,9 @@ class Account:
                 for sink in self._sinks:
                     sink.add(result)
 
-    def conclude(self, sensors: frozenset[str], odometry: Odometry, slam: SlamSession | NoSlam) -> RunSummary:
+    def conclude(
+        self, sensors: frozenset[str], odometry: Odometry, slam: SlamSession | NoSlam, config: RunConfig
+    ) -> RunSummary:
         """Return the run's summary: what was counted, the verdict, the timings, and where it has been after all."""
         tally, graph, moved = self.tally, None, None
         try:
@@ -268,12 +270,21 @@ class Account:
             self.failure = self.failure or error
         failure, final = self.failure, None if moved is None else FinalPoses(**moved._asdict())
         T_map_odom = np.asarray(odometry.leveling(), dtype=np.float64)
-        status, reasons = judge(tally.statuses, sensors=sensors, held=tally.held, interrupted=self.interrupted)
+        blind = tally.blind.all(T_map_odom[:3, :3])
+        status, reasons = judge(
+            tally.statuses,
+            sensors=sensors,
+            held=tally.held,
+            interrupted=self.interrupted,
+            blind=blind,
+            budget=config.check.max_blind_growth,
+        )
         return tally.summary(
             status=status,
             reasons=reasons,
             interrupted=self.interrupted,
             sensors=tuple(name for name in ("lidar", "imu") if name in sensors),
+            blind_spans=blind,
             weakest_direction=T_map_odom[:3, :3] @ tally.weakest[1],
             wall_seconds=self.clock.wall,
             seconds=dict(self.clock.seconds),

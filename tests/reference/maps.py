@@ -43,7 +43,7 @@ class SlowVoxelMap:
                     entry["points"] += group
                     touched.append(key)
             self._keep_raw(group[int(np.argmin(ranks[cube]))])
-        for key in touched:
+        for key in sorted(touched, key=lambda key: -key[0]):
             self._refit(key)
 
     def _keep_raw(self, q):
@@ -64,13 +64,33 @@ class SlowVoxelMap:
         thin, spread = max(values[0], 0.0), values[1]
         good = thin <= config.max_thickness**2 and spread >= (config.min_spread * self.edge(key[0])) ** 2
         entry["plane"] = None
-        if good and spread >= 4.0 * thin:
+        if good and spread >= 9.0 * thin:
             entry["plane"] = {
                 "normal": vectors[:, 0],
                 "centroid": points.mean(axis=0),
-                "variance": max(thin, 1e-8) / n,
-                "inv_spread": 1.0 / spread,
+                "variance": max(thin, 1e-8) / max(n - 3.0, 1.0),
+                "inv_spread": spread / (spread - thin) ** 2,
             }
+            self._lean_on_coarser(key, entry)
+
+    def _lean_on_coarser(self, key, entry):
+        """Average the normal with that of the cube around it, by what both know, unless they differ beyond chance."""
+        around = self.cubes.get((key[0] + 1, tuple(c // 2 for c in key[1])))
+        if around is None or not around["plane"]:
+            return
+        plane, coarse = entry["plane"], around["plane"]
+        free, more = (max(e["fitted"] - 3.0, 1.0) for e in (entry, around))
+        pooled = (free * free * plane["variance"] + 10.0 * more * coarse["variance"]) / (free + 10.0)
+        plane["variance"] = max(free * plane["variance"], pooled) / free
+        theirs_normal = coarse["normal"] * (-1.0 if plane["normal"] @ coarse["normal"] < 0.0 else 1.0)
+        apart = 0.5 * np.sum((plane["normal"] - theirs_normal) ** 2)
+        own, known = (p["variance"] * p["inv_spread"] for p in (plane, coarse))
+        theirs = known + max(apart - 4.0 * own, 0.0)
+        normal = theirs * plane["normal"] + own * theirs_normal
+        plane["normal"] = normal / np.linalg.norm(normal)
+        kept = theirs / (own + theirs)
+        tilt = own * kept if apart > 9.0 * own else max(known + kept**2 * apart, own * kept)
+        plane["inv_spread"] = tilt / plane["variance"]
 
     def prune(self, centre, radius, max_voxels):
         limit = radius
@@ -82,7 +102,7 @@ class SlowVoxelMap:
         self.buckets = {c: b for c, b in self.buckets.items() if np.linalg.norm(middle[c] - centre) <= limit}
 
     def plane_at(self, q, gate):
-        """Normal, point, variance at q, source; None where no cube's plane is near enough."""
+        """Normal, point, variance at q, source, variance of the normal; None where no cube's plane is near enough."""
         for level in range(self.config.levels):
             entry = self.cubes.get((level, cube_of(q, self.edge(level))))
             plane = entry and entry["plane"]
@@ -92,7 +112,8 @@ class SlowVoxelMap:
             r = plane["normal"] @ d
             if abs(r) <= gate:
                 variance = plane["variance"] * (1.0 + (d @ d - r * r) * plane["inv_spread"])
-                return plane["normal"], plane["centroid"], variance, 1 + level
+                tilt = plane["variance"] * plane["inv_spread"]
+                return plane["normal"], plane["centroid"], variance, 1 + level, tilt
         return None
 
     def nearest(self, q, reach):
@@ -116,7 +137,12 @@ class SlowVoxelMap:
         r, d = normal @ (q - mean), q - mean
         if np.abs((points - mean) @ normal).max() > 3.0 * thick or abs(r) > gate:
             return None
-        return normal, mean, thick**2 / 5.0 * (1.0 + (d @ d - r * r) / values[1]), 255
+        return normal, mean, thick**2 / 5.0 * (1.0 + (d @ d - r * r) / values[1]), 255, self._tilt(values)
+
+    @staticmethod
+    def _tilt(values):
+        """Variance of the normal through five points, by their own spread: on average right, each time a guess."""
+        return max(values[0], 0.0) / 2.0 * values[1] / (values[1] - values[0]) ** 2
 
 
 class SlowGlobalMap:

@@ -59,7 +59,7 @@ def match_planes_slowly(
         found = find_slowly(slow_map, q, gate, fallback=True)
         if found is None:
             continue
-        n, point, variance, source = found
+        n, point, variance, source, _ = found
         fallbacks += source == 255
         pose = pose_row(p, n, T_odom_imu)
         motion = [] if before_end is None else motion_row(before_end[i], pose)
@@ -68,6 +68,30 @@ def match_planes_slowly(
             mounting = mounting_row(n, q, T_odom_imu, T_imu_lidar, T_first=T_first, source=source)
         terms.append((np.concatenate([pose, motion, mounting])[None], np.array([n @ (q - point)]), sigma**2 + variance))
     return *sums_slowly(terms, 6 + 6 * (before_end is not None) + 6 * (T_first is not None), kernel), fallbacks
+
+
+def feigned_slowly(slow_map, points, T_odom_imu, *, gate, kernel, sigma, before_end=None):
+    """What tilts of the normals add to the information in expectation, by turning each normal about two axes.
+
+    Also the sum of squares of what each match adds.
+    """
+    size = 6 if before_end is None else 12
+    F, square = np.zeros((size, size)), 0.0
+    for i, p in enumerate(points.astype(np.float64)):
+        q = T_odom_imu[:3, :3] @ p + T_odom_imu[:3, 3]
+        found = find_slowly(slow_map, q, gate, fallback=True)
+        if found is None:
+            continue
+        n, point, variance, _, tilt = found
+        r = n @ (q - point)
+        w = (kernel**2 / (kernel**2 + r * r)) ** 2 / (sigma**2 + variance)
+        _, _, axes = np.linalg.svd(n[None])
+        for t in axes[1:]:
+            row = pose_row(p, t, T_odom_imu)
+            row = row if before_end is None else np.concatenate([row, motion_row(before_end[i], row)])
+            F += w * tilt * np.outer(row, row)
+        square += (w * tilt) ** 2
+    return F, square
 
 
 def match_points_slowly(slow_map, points, T_odom_imu, *, gate, kernel, sigma, before_end=None):

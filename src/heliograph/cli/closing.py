@@ -41,6 +41,11 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
         )
     if "graph" in facts:
         lines.append(_graph_line(facts["graph"]))
+    for span in facts["blind_spans"][:3]:
+        lines.append(
+            f"blind for {span['distance_m']:.0f} m at scans {span['scans'][0]} to {span['scans'][1]}: one-sigma along "
+            f"it {span['sigma_before_m']:.3f} m before, {span['sigma_after_m']:.3f} m after"
+        )
     lines.append(f"written to {folder}: {', '.join(facts['files'])}")
     lines.append(f"report: {folder / 'report.html'}")
     lines.append(f"status: {facts['status']}" + "".join(f"; {reason}" for reason in facts["reasons"]))

@@ -35,6 +35,9 @@ class CheckConfig:
         Root mean square of the specific force above 15 Hz beyond which it warns, fails [m/s^2].
     warn_vibration_gyro, max_vibration_gyro : float
         The same of the angular rate [rad/s].
+    max_blind_growth : float
+        One-sigma of the position that a stretch along which one direction is not seen may cost; more, and a run is
+        called degraded [m].
     """
 
     min_rate: float = 5.0
@@ -54,6 +57,7 @@ class CheckConfig:
     max_vibration_accel: float = 10.0
     warn_vibration_gyro: float = 0.15
     max_vibration_gyro: float = 0.75
+    max_blind_growth: float = 0.1
 
     def __post_init__(self) -> None:
         check_range(self, "min_rate", "good_rate", "max_gap", "max_jitter", "max_drift_ppm", above=0.0)

@@ -216,8 +216,8 @@ class FilterConfig:
         After a vague prediction, a share of matched points below this part of the usual one makes no update.
     lost_sigma : float
         A scan that does not match while its position is known no better than this counts as lost [m].
-    degenerate_translation, degenerate_rotation : float
-        A per-measurement eigenvalue below it makes a direction count as blind.
+    degenerate_translation : float
+        A per-measurement eigenvalue below it makes the start try several speeds.
     typical_range : float
         Distance that stands for the cloud where the error of a predicted rotation opens the kernel [m].
     unknown_speed, unknown_rate : float
@@ -248,14 +248,13 @@ class FilterConfig:
     kernel: float = 3.0
     gate: float = 2.5
     max_kernel: float = 1.0
-    correlation: float = 30.0
-    systematic: float = 0.06
+    correlation: float = 4.0
+    systematic: float = 0.01
     fallback_stride: int = 2
     min_matches: int = 50
     vague_share: float = 0.6
     lost_sigma: float = 3.0
     degenerate_translation: float = 0.01
-    degenerate_rotation: float = 0.003
     typical_range: float = 15.0
     unknown_speed: float = 5.0
     unknown_rate: float = 1.0

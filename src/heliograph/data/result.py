@@ -74,6 +74,9 @@ class ScanResult:
     eigenvalues_rotation, eigenvalues_translation : (3,) float64
         Eigenvalues of the per-measurement information matrix, ascending [1/rad^2 m^2 scaled to 1 m lever; 1].
         In [0, 1] for translation.
+    weak_share : float
+        Share of what the scan says about the least seen direction of its pose that is more than noise of the normals
+        can feign, in [0, 1]; 0 where it does not see it, which makes the scan ``"degenerate"``.
     weak_direction : (3,) float64
         Unit vector along the least observed translation, odom frame.
     lidar_information : (6, 6) float64
@@ -112,6 +115,7 @@ class ScanResult:
     nis: float = float("nan")
     eigenvalues_rotation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     eigenvalues_translation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    weak_share: float = float("nan")
     weak_direction: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     lidar_information: NDArray[np.float64] = field(default_factory=lambda: np.zeros((6, 6)))
     timings: Mapping[str, float] = field(default_factory=dict)
@@ -120,6 +124,11 @@ class ScanResult:
 
     def __post_init__(self) -> None:
         freeze(self)
+
+    @property
+    def weak_sigma(self) -> float:
+        """One-sigma of the position along `weak_direction` against the odom frame's origin [m]."""
+        return float(np.sqrt(max(float(self.weak_direction @ self.pose_covariance[3:, 3:] @ self.weak_direction), 0.0)))
 
     @property
     def matched(self) -> bool:

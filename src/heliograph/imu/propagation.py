@@ -66,6 +66,15 @@ class ErrorGrowth:
     def __post_init__(self) -> None:
         freeze(self)
 
+    def carried(self, errors: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what errors (K, M) at the interval's start, one a column, are at its end."""
+        moved = errors.copy()
+        moved[NAV] = self.transition @ errors[NAV]
+        if self.clock_shift is not None:
+            moved[NAV] += np.outer(self.clock_shift, errors[CLOCK] + 0.5 * self.span * errors[DRIFT])
+            moved[CLOCK] += self.span * errors[DRIFT]
+        return np.asarray(moved)
+
     def grown(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the covariance (K, K) at the interval's end from that at its start.
 

@@ -28,6 +28,9 @@ class PlaneMatches:
         A point of each plane, odom frame [m].
     variance : (N,) float32
         Variance of the plane across itself at the query [m^2].
+    tilt : (N,) float32 or None
+        Variance of each normal about either axis across it [rad^2]; what is not told counts as exact, and many planes
+        then seem to tell about directions that none of them faces.
     source : (N,) uint8
         0 no plane, `NEIGHBOURS` a plane through nearest neighbours, else 1 + the map's level.
     """
@@ -36,6 +39,7 @@ class PlaneMatches:
     point: NDArray[np.float64]
     variance: NDArray[np.float32]
     source: NDArray[np.uint8]
+    tilt: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         freeze(self)

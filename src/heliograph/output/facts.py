@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.data import GraphAccount, StartAccount
+from heliograph.output.blind_spans import BlindSpan
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 
@@ -91,6 +92,7 @@ def final_facts(
             "direction_map": summary.weakest_direction.tolist(),
         },
         **({"graph": graph_facts(summary.graph)} if summary.graph is not None else {}),
+        "blind_spans": [_blind(span) for span in summary.blind_spans],
         **({"start": _start(summary.start)} if summary.start is not None else {}),
         "warnings": [asdict(event) for event in summary.events],
         "timings": _timings(summary, writer_seconds, closing_seconds),
@@ -109,6 +111,19 @@ def graph_facts(graph: GraphAccount) -> dict[str, Any]:
     account = asdict(graph)
     del account["files"]
     return {"keyframes": account.pop("keyframes"), "moved_m": account.pop("moved"), "loops": account}
+
+
+def _blind(span: BlindSpan) -> dict[str, Any]:
+    """Return a stretch along which one direction was not seen, with its cost in metres."""
+    return {
+        "scans": [span.first, span.last],
+        "stamps_ns": [span.begin_ns, span.end_ns],
+        "direction_map": span.direction.tolist(),
+        "distance_m": span.distance,
+        "sigma_before_m": span.sigma_before,
+        "sigma_after_m": span.sigma_after,
+        "growth_m": span.growth,
+    }
 
 
 def _start(start: StartAccount) -> dict[str, Any]:

@@ -40,6 +40,8 @@ FLOATS = (
     *_triple("eigenvalue_rotation", _ASCENDING),
     *_triple("eigenvalue_translation", _ASCENDING),
     *_triple("weak_direction"),
+    "weak_share",
+    "weak_sigma",
     *_triple("gyro_bias"),
     *_triple("accel_bias"),
     *_triple("velocity"),
@@ -72,7 +74,7 @@ class ScanTable:
     ----------
     integers : (N, 9) int64
         Columns `INTEGERS`.
-    floats : (N, 32) float64
+    floats : (N, 34) float64
         Columns `FLOATS`, in map-frame axes where they are vectors.
     statuses : list of str
         Verdict a scan.
@@ -139,6 +141,7 @@ class ScanLog:
         floats = np.concatenate([
             (result.rms, result.nis),
             result.eigenvalues_rotation, result.eigenvalues_translation, result.weak_direction,
+            (result.weak_share, result.weak_sigma),
             result.gyro_bias, result.accel_bias, result.v_odom, sigmas(result), result.T_odom_imu[:3, 3],
         ])  # fmt: skip
         self._integers.append(integers)

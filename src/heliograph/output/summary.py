@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
 from heliograph.data import Event, GraphAccount, ScanResult, StartAccount
+from heliograph.output.blind_spans import BlindSpan, BlindSpans
 from heliograph.output.final_poses import FinalPoses
 
 __all__ = ["RunSummary", "Tally", "fold_events", "judge"]
@@ -52,6 +53,8 @@ class RunSummary:
         Its direction, map frame, unit length.
     weakest_index : int
         The scan where it occurred; -1 if none.
+    blind_spans : tuple of BlindSpan
+        Stretches along which one direction was not seen, in order.
     wall_seconds : float
         From opening the recording to the last result [s].
     seconds : mapping
@@ -86,6 +89,7 @@ class RunSummary:
     weakest_eigenvalue: float = float("nan")
     weakest_direction: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     weakest_index: int = -1
+    blind_spans: tuple[BlindSpan, ...] = ()
     wall_seconds: float = 0.0
     seconds: Mapping[str, float] = field(default_factory=dict)
     stage_ms: Mapping[str, float] = field(default_factory=dict)
@@ -111,7 +115,13 @@ class RunSummary:
 
 
 def judge(
-    statuses: Mapping[str, int], *, sensors: Iterable[str], held: int = 0, interrupted: bool = False
+    statuses: Mapping[str, int],
+    *,
+    sensors: Iterable[str],
+    held: int = 0,
+    interrupted: bool = False,
+    blind: Iterable[BlindSpan] = (),
+    budget: float = 0.0,
 ) -> tuple[str, tuple[str, ...]]:
     """Decide how far a result is to be trusted, and say why.
 
@@ -125,6 +135,10 @@ def judge(
         Scans that no IMU sample reached to the end of.
     interrupted : bool
         Whether the run ended early; a reason, not a verdict on the part that was done.
+    blind : iterable of BlindSpan
+        Stretches along which one direction was not seen.
+    budget : float
+        One-sigma of position that such a stretch may cost [m].
 
     Returns
     -------
@@ -146,8 +160,7 @@ def judge(
             degraded.append(
                 f"{unmatched:.0%} of the scans could not be matched; the motion model carried on through them"
             )
-        if share["degenerate"] >= DEGRADED_SHARE:
-            degraded.append(f"one direction was unobservable in {share['degenerate']:.0%} of the scans")
+        degraded += _blindness(tuple(blind), budget, share["degenerate"])
     else:
         degraded.append("dead reckoning on the IMU alone: the position error grows with the square of time")
     if held / total >= HELD_SHARE:
@@ -157,6 +170,18 @@ def judge(
     status = "lost" if lost else "degraded" if degraded else "ok"
     early = ("interrupted: the result covers the part that was read",) if interrupted else ()
     return status, (*lost, *degraded, *early)
+
+
+def _blindness(blind: tuple[BlindSpan, ...], budget: float, share: float) -> list[str]:
+    """Return what blind stretches cost beyond the budget; where an odometry tells no sigmas, how often it was blind."""
+    costly = [span for span in blind if span.growth > budget]
+    if costly:
+        worst = max(costly, key=lambda span: span.growth)
+        more = f", the worst of {len(costly)} such stretches" if len(costly) > 1 else ""
+        return [f"{worst}{more}"]
+    if share >= DEGRADED_SHARE and not any(span.sigma_after > 0.0 for span in blind):
+        return [f"one direction was unobservable in {share:.0%} of the scans"]
+    return []
 
 
 def fold_events(events: Iterable[Event]) -> tuple[Event, ...]:
@@ -179,6 +204,7 @@ class Tally:
         self.stage_totals: dict[str, float] = {}
         self.distance = 0.0
         self.weakest = (float("nan"), np.zeros(3), -1)
+        self.blind = BlindSpans()
         self._events: dict[tuple[str, str], Event] = {}
         self._first: ScanResult | None = None
         self._span = (0, 0)
@@ -198,6 +224,7 @@ class Tally:
             self.stage_totals[stage] = self.stage_totals.get(stage, 0.0) + ms
         if result.matches > 0 and not self.weakest[0] <= result.eigenvalues_translation[0]:
             self.weakest = (float(result.eigenvalues_translation[0]), result.weak_direction.copy(), result.index)
+        self.blind.add(result)
         self.held += any(event.code == "imu-held" for event in result.events)
         self.add_events(result.events)
 

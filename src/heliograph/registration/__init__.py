@@ -17,6 +17,7 @@ from heliograph.registration.linearize import (
     gradient_scatter,
     linearize,
 )
+from heliograph.registration.noisy_normals import TrueShare, true_share
 from heliograph.registration.remapping import remapped_step, soft_step
 from heliograph.registration.surfaces import PreparedCloud, estimate_covariances, estimate_normals, prepare_cloud
 
@@ -31,6 +32,7 @@ __all__ = [
     "Observability",
     "PreparedCloud",
     "ResidualDistribution",
+    "TrueShare",
     "align",
     "analyse_information",
     "analyse_planes",
@@ -42,4 +44,5 @@ __all__ = [
     "prepare_cloud",
     "remapped_step",
     "soft_step",
+    "true_share",
 ]

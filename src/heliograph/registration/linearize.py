@@ -89,6 +89,11 @@ class NormalEquations:
         Sum of ``w / s^2 J^T J``.
     gradient : (C,) float64
         Sum of ``w / s^2 J^T r``.
+    feigned : (C, C) float64
+        What noise of the planes' normals alone is expected to have added to ``information``: sum of
+        ``w / s^2 E[dJ^T dJ]`` over pose and motion, zero for the mounting.
+    feigned_square : float
+        Sum of the squares of ``w / s^2`` times the normal's variance, for the scatter of that.
     weight : float
         Sum of ``w / s^2`` [1/m^2].
     robust_weight, square : float
@@ -102,6 +107,8 @@ class NormalEquations:
     blocks: tuple[str, ...]
     information: NDArray[np.float64]
     gradient: NDArray[np.float64]
+    feigned: NDArray[np.float64]
+    feigned_square: float
     weight: float
     robust_weight: float
     square: float
@@ -213,6 +220,8 @@ def _from_sums(sums: Any, blocks: tuple[str, ...], queries: int) -> NormalEquati
         blocks=blocks,
         information=sums.information,
         gradient=sums.gradient,
+        feigned=sums.feigned,
+        feigned_square=sums.feigned_square,
         weight=sums.weight,
         robust_weight=sums.robust_weight,
         square=sums.square,
@@ -225,13 +234,19 @@ def _from_sums(sums: Any, blocks: tuple[str, ...], queries: int) -> NormalEquati
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Matches:
-    """Matches one by one: Jacobian (M, C), residual (M,), robust weight (M,), inverse variance (M,), source (M,)."""
+    """Matches one by one: Jacobian (M, C), residual (M,), robust weight (M,), inverse variance (M,), source (M,).
+
+    `across` (M, 2, C) is how the row changes by a unit tilt of the normal about either axis across it, `tilt` (M,) the
+    variance of those.
+    """
 
     J: NDArray[np.float64]
     r: NDArray[np.float64]
     w: NDArray[np.float64]
     inv_var: NDArray[np.float64]
     source: NDArray[np.uint8]
+    across: NDArray[np.float64]
+    tilt: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -249,10 +264,9 @@ def _matched(
     p, n = points[some], found.normal[some].astype(np.float64)
     q = p @ T[:3, :3].T + T[:3, 3]
     r = np.einsum("ij,ij->i", n, q - found.point[some])
-    columns = [np.cross(p, n @ T[:3, :3]), n]
-    if before_end is not None:
-        dt = before_end[some, None].astype(np.float64)
-        columns += [-dt * n, dt * columns[0]]
+    dt = before_end[some, None].astype(np.float64) if before_end is not None else None
+    columns = _pose_and_motion(p, n, T, dt)
+    across = [np.hstack(_pose_and_motion(p, t, T, dt)) for t in _across(n)]
     if mounted is not None:
         here, first = (_mounting_columns(q, n, X, mounted.T_imu_lidar) for X in (T, mounted.T_odom_imu_first))
         columns.append(np.where(found.source[some, None] == NEIGHBOURS, 0.0, here - first))
@@ -263,7 +277,24 @@ def _matched(
         w=(c2 / (c2 + r * r)) ** 2 if c2 > 0.0 else np.ones_like(r),
         inv_var=np.asarray(1.0 / (settings.sigma**2 + found.variance[some]), dtype=np.float64),
         source=found.source[some],
+        across=np.pad(np.stack(across, axis=1), ((0, 0), (0, 0), (0, 6 if mounted is not None else 0))),
+        tilt=found.tilt[some].astype(np.float64) if found.tilt is not None else np.zeros(len(p)),
     )
+
+
+def _pose_and_motion(
+    p: NDArray[np.float64], n: NDArray[np.float64], T: NDArray[np.float64], dt: NDArray[np.float64] | None
+) -> list[NDArray[np.float64]]:
+    """Return the columns of pose, and of motion for times dt (M, 1), that normals n (M, 3) make of points p (M, 3)."""
+    turn = np.cross(p, n @ T[:3, :3])
+    return [turn, n] if dt is None else [turn, n, -dt * n, dt * turn]
+
+
+def _across(n: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return two unit vectors (M, 3) across each normal (M, 3) and each other."""
+    a = np.cross(n, np.eye(3)[np.argmin(np.abs(n), axis=1)])
+    a /= np.linalg.norm(a, axis=1, keepdims=True)
+    return a, np.cross(n, a)
 
 
 def _mounting_columns(
@@ -313,10 +344,13 @@ def _linearize_any(
     r, w, c2 = found.r, found.w, settings.kernel**2
     rho = 0.5 * r * r * (c2 / (c2 + r * r) if c2 > 0.0 else 1.0)
     weighted = found.J * (w * found.inv_var)[:, None]
+    feigned = w * found.inv_var * found.tilt
     return NormalEquations(
         blocks=_blocks(before_end, mounted),
         information=weighted.T @ found.J,
         gradient=weighted.T @ r,
+        feigned=np.einsum("m,mki,mkj->ij", feigned, found.across, found.across),
+        feigned_square=float(feigned @ feigned),
         weight=float((w * found.inv_var).sum()),
         robust_weight=float(w.sum()),
         square=float((w * r * r).sum()),

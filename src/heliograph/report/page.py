@@ -141,6 +141,7 @@ def observability(record: RunRecord) -> str:
         intro += (
             f" The weakest was {summary.weakest_eigenvalue:.3f} along ({direction}) in scan {summary.weakest_index}."
         )
+    intro += "".join(f" {str(span)[0].upper()}{str(span)[1:]}." for span in summary.blind_spans[:5])
     marked = {kind: word for kind, word in charts.VERDICT_WORDS.items() if summary.statuses.get(kind)}
     keys = "".join(f'<span class="key"><i class="v-{kind}"></i>{word}</span>' for kind, word in marked.items())
     figures = [*charts.eigenvalues(record.scans), *charts.matching(record.scans)]

@@ -208,6 +208,71 @@ def tunnel(rng: np.random.Generator) -> Place:
     return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=1.0, closed=False))
 
 
+def long_tunnel(rng: np.random.Generator) -> Place:
+    """Return a smooth straight tunnel of 300 m, 6 m by 5 m, closed, with boxes and columns in its first and last 15 m.
+
+    From the middle no return of a sensor that reaches 90 m faces the axis.
+    """
+    length, width, height = 300.0, 6.0, 5.0
+    primitives = [
+        *(rectangle((length / 2.0, 0.0, z), (length, width), _LEVEL, _CONCRETE) for z in (0.0, height)),
+        *(rectangle((length / 2.0, y, height / 2.0), (length, height), _FACES_Y, _CONCRETE) for y in (-3.0, 3.0)),
+        *(rectangle((x, 0.0, height / 2.0), (width, height), _FACES_X, _CONCRETE) for x in (0.0, length)),
+    ]
+    for begin in (0.0, length - 15.0):
+        for x in np.linspace(begin + 1.0, begin + 14.0, 5):
+            side = float(rng.choice([-1.0, 1.0]))
+            primitives.append(_carton(rng, x + rng.normal(0.0, 0.3), side * 2.4, 0.0, (1.2, 1.0, 1.6)))
+            primitives.append(
+                cylinder((x + rng.normal(0.0, 0.3), -side * 2.7, height / 2.0), 0.15, height, None, _STEEL)
+            )
+    waypoints = np.array([(5.0, 0.0, 1.2), (length - 5.0, 0.0, 1.2)])
+    return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=1.0, closed=False))
+
+
+def _relief(rng: np.random.Generator) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
+    """Return the height of gently rolling ground: waves of 20 m to 70 m length, 0.3 m high."""
+    length, heading, phase = rng.uniform(20.0, 70.0, 6), rng.uniform(0.0, np.pi, 6), rng.uniform(0.0, 2.0 * np.pi, 6)
+    k = 2.0 * np.pi / length
+
+    def height(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        along = np.multiply.outer(x, k * np.cos(heading)) + np.multiply.outer(y, k * np.sin(heading))
+        return np.asarray(0.12 * np.sin(along + phase).sum(axis=-1))
+
+    return height
+
+
+def _field(rng: np.random.Generator, poles: int) -> Place:
+    """Return rolling ground of facets, with poles far around, and a figure of eight of about 100 m on it."""
+    height, facet, step = _relief(rng), 2.0, 0.05
+    primitives = []
+    for x in np.arange(-110.0, 110.0, facet):
+        for y in np.arange(-110.0, 110.0, facet):
+            z = float(height(np.array(x), np.array(y)))
+            slope_x = (float(height(np.array(x + step), np.array(y))) - z) / step
+            slope_y = (float(height(np.array(x), np.array(y + step))) - z) / step
+            tilt = so3.from_two_vectors(np.array([0.0, 0.0, 1.0]), np.array([-slope_x, -slope_y, 1.0]))
+            primitives.append(rectangle((x, y, z), (1.02 * facet, 1.02 * facet), tilt, _GRASS))
+    for angle in np.arange(poles) * 2.0 * np.pi / max(poles, 1) + rng.uniform(0.0, 0.5):
+        far = rng.uniform(35.0, 60.0)
+        x, y = far * np.cos(angle), far * np.sin(angle)
+        primitives.append(cylinder((x, y, 3.0), 0.15, 7.0, None, _WOOD))
+    eight = [(0.0, 0.0), (12.0, 9.0), (24.0, 0.0), (12.0, -9.0), (0.0, 0.0), (-12.0, 9.0), (-24.0, 0.0), (-12.0, -9.0)]
+    corners = [(6.0, 4.5), *eight[1:4], *eight[5:8]]
+    waypoints = np.array([(x, y, 1.4) for x, y in corners])
+    return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=4.0))
+
+
+def field(rng: np.random.Generator) -> Place:
+    """Return an open field of rolling grass with eight poles far away."""
+    return _field(rng, poles=8)
+
+
+def bare_field(rng: np.random.Generator) -> Place:
+    """Return an open field of rolling grass and nothing else."""
+    return _field(rng, poles=0)
+
+
 def street(rng: np.random.Generator) -> Place:
     """Return a street of 280 m between houses, with parked cars, poles and trees, that ends in a wide bend."""
     primitives = [rectangle((140.0, 20.0, 0.0), (460.0, 260.0), _LEVEL, _ASPHALT)]
@@ -247,7 +312,10 @@ PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingP
     {
         "aisles": aisles,
         "campus": campus,
+        "bare_field": bare_field,
+        "field": field,
         "level_room": level_room,
+        "long_tunnel": long_tunnel,
         "room": room,
         "storeys": storeys,
         "street": street,

@@ -182,8 +182,21 @@ def _registry() -> dict[str, Scenario]:
             lidar=LidarModel(beams=32, columns=512, elevation_deg=(-30.0, 30.0), max_range=60.0),
             gnss=GnssModel(rate=0.0),
         ),
+        **{scenario.name: scenario for scenario in _weakly_seen()},
         **{scenario.name: scenario for scenario in _moving_starts()},
     }
+
+
+def _weakly_seen() -> Iterator[Scenario]:
+    """Yield recordings of which one direction is seen poorly, or not at all for a while."""
+    car = Gait(frequency=1.3, bounce=0.01, lateral=0.01, roll_deg=0.6, pitch_deg=0.5, yaw_deg=0.6)
+    sparse = LidarModel(beams=32, columns=512, max_range=90.0)
+    drive = Walk(speed=3.0, rest=3.0, ramp=3.0)
+    yield Scenario(
+        name="long-tunnel", place="long_tunnel", walk=drive, gait=car, lidar=sparse, gnss=GnssModel(rate=0.0)
+    )
+    for name, place in (("field", "field"), ("bare-field", "bare_field")):
+        yield Scenario(name=name, place=place, walk=Walk(rest=3.0), lidar=sparse)
 
 
 def _moving_starts() -> Iterator[Scenario]:

@@ -115,12 +115,13 @@ def test_query_equals_brute_force(seed, levels):
         assert got.source[i] == (expected[3] if expected else 0), f"query {i}"
         if expected is None:
             continue
-        n, point, variance, source = expected
+        n, point, variance, source, tilt = expected
         sources.add(source)
         assert abs(got.normal[i] @ n) == pytest.approx(1.0, abs=2e-4)
         assert abs(got.normal[i] @ (q - got.point[i])) == pytest.approx(abs(n @ (q - point)), abs=2e-5)
         np.testing.assert_allclose(got.point[i], point, atol=2e-5)
         assert got.variance[i] == pytest.approx(variance, rel=3e-2)
+        assert got.tilt[i] == pytest.approx(tilt, rel=5e-2, abs=1e-7)
     assert {1, 255} <= sources
     assert levels == 1 or 2 in sources
 

@@ -74,7 +74,8 @@ def test_eigenvalues_do_not_depend_on_the_number_of_points(rng):
 
     def equations(copies):
         return NormalEquations(
-            information=copies * J.T @ J, gradient=np.zeros(6), blocks=("pose",), weight=4.0 * copies,
+            information=copies * J.T @ J, gradient=np.zeros(6), feigned=np.zeros((6, 6)), feigned_square=0.0,
+            blocks=("pose",), weight=4.0 * copies,
             robust_weight=4.0, square=0.0, cost=0.0, matches=4, fallback_matches=0, queries=4,
         )  # fmt: skip
 

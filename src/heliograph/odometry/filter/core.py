@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.cloud import deskew, range_gate
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, NavState, OnlineCalibration, Scan, ScanResult
@@ -16,7 +17,7 @@ from heliograph.imu import ImuPath
 from heliograph.maps import LocalMap, VoxelMap
 from heliograph.odometry.filter.calibrating import calibration_of
 from heliograph.odometry.filter.map_keeper import MapKeeper
-from heliograph.odometry.filter.matching import AdaptiveNoise, ScanMatcher
+from heliograph.odometry.filter.matching import AdaptiveNoise, ScanMatcher, sweep_noise
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.motion import MotionModel, corrected_path, rate_change, sweep_path
 from heliograph.odometry.filter.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
@@ -64,6 +65,7 @@ class FilterCore:
         )
         self._matcher = ScanMatcher(config, threads=threads)
         self._history: ImuPath | None = None
+        self._sweep_noise: Array | None = None
         self._count = 0
 
     @property
@@ -100,13 +102,14 @@ class FilterCore:
         points_imu = self._deskew(points, offsets, scan, sweep)  # (3), now with the final motion
         watch.lap("deskew")
 
+        seen = fit.measurement.pose_share() if fit is not None else None
         if fit is not None or self._keeper.empty:
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
-            self._keeper.extend(points_imu, pose, posterior, sigma=self.noise.sigma, matched=fit is not None)  # (9)
+            posterior = self._keeper.extend(points_imu, pose, posterior, seen)  # (9)
         watch.lap("map")
 
         intensity = _taken(scan.intensity, keep) if scan.intensity is not None else None
-        return self._conclude(ScanOutcome(scan, posterior, path, points_imu, intensity, fit, len(picked)), watch)
+        return self._conclude(ScanOutcome(scan, posterior, path, points_imu, intensity, fit, seen, len(picked)), watch)
 
     def dead_reckon(self, end_ns: int, imu: ImuBatch) -> ScanResult:
         """Carry the state to ``end_ns`` on the motion model alone."""
@@ -126,6 +129,8 @@ class FilterCore:
     def _predict(self, imu: ImuBatch, end_ns: int) -> tuple[NavState, ImuPath]:
         ahead = self._motion.predict(self.state, imu, end_ns)
         self._calibration.grow(ahead.growth)
+        self._keeper.predicted(ahead.growth)
+        self._sweep_noise = sweep_noise(ahead.growth) if self._motion.inertial else None
         return ahead.state, ahead.path
 
     def _match(
@@ -142,16 +147,17 @@ class FilterCore:
                 return predicted
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
-        fit = self._matcher.match(prior, self.map, points_at, before_end, terms)
+        fit = self._matcher.match(prior, self.map, points_at, before_end, terms, self._sweep_noise)
         if fit is not None:
             self._calibration.learn(fit.measurement)
+            self._keeper.updated(fit.retained)
         return fit
 
     def _settled(self, state: NavState) -> NavState:
         """Begin the map anew where a better mounting has shown it to be bent; its first pose defines its frame."""
         if not self._calibration.is_bent(state, self._keeper.scans):
             return state
-        self._keeper.begin_anew(state, sigma=self.noise.sigma)
+        self._keeper.begin_anew(state)
         return self._calibration.remounted(state)
 
     def _deskew(

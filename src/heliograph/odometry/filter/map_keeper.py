@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array
 from heliograph.config import FilterConfig
 from heliograph.data import NavState
+from heliograph.data.error_layout import POSE_DIM
+from heliograph.imu import ErrorGrowth
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.drift import MapDrift
+from heliograph.registration import TrueShare
 
 __all__ = ["MapKeeper"]
 
@@ -41,9 +44,15 @@ class MapKeeper:
         return len(self.map) == 0
 
     def extend(
-        self, points_imu: NDArray[np.float32], pose: Array, state: NavState, *, sigma: float, matched: bool
-    ) -> None:
+        self,
+        points_imu: NDArray[np.float32],
+        pose: Array,
+        state: NavState,
+        seen: TrueShare | None,
+    ) -> NavState:
         """Insert a scan, account for what the map's frame may have drifted by that, and forget what is far away.
+
+        Returns the state in the frame that the map defines now; it differs in its covariance only.
 
         Parameters
         ----------
@@ -53,21 +62,34 @@ class MapKeeper:
             Where to insert them.
         state : NavState
             The state at the scan's end.
-        sigma : float
-            Range noise across planes [m].
-        matched : bool
-            Whether the scan's pose was matched to the map, or defines it.
+        seen : TrueShare or None
+            What the match that gave the pose saw of it; None where the pose defines the map.
         """
         self.scans = 1 if self.empty else self.scans + 1
         share = self.map.insert(points_imu, pose)
-        self._drift.grow(state, share, sigma=sigma, matched=matched)
+        if seen is None:
+            self._drift.begin(share)
+        else:
+            if not seen.share.all():
+                state = self._drift.hand_over(state, seen.blind())
+            # Matched with one match an axis; all of them tell a third of their number as much.
+            state = self._drift.grow(state, share, seen.covariance() * seen.matches / 3.0)
         if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:
             self.map.prune(state.p_odom)
             self._pruned_at = state.p_odom
+        return state
 
-    def begin_anew(self, state: NavState, *, sigma: float) -> None:
+    def predicted(self, growth: ErrorGrowth) -> None:
+        """Carry on what the map's frame has in common with the state over a prediction."""
+        self._drift.predicted(growth)
+
+    def updated(self, retained: Array) -> None:
+        """Carry it on over an update that left ``retained`` (K, K) of the state's errors."""
+        self._drift.updated(retained)
+
+    def begin_anew(self, state: NavState) -> None:
         """Forget the map; the next scan's pose ties the new one to the odom frame, with the error that it has now."""
-        self._drift.grow(state, 1.0, sigma=sigma, matched=True)
+        self._drift.hand_over(state, np.eye(POSE_DIM))
         self.map.clear()
 
     def pose_covariance(self, state: NavState) -> Array:

@@ -8,18 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.cloud import voxel_downsample
 from heliograph.config import CloudConfig, FilterConfig, RunConfig
 from heliograph.data import NavState
-from heliograph.data.error_layout import POSITION, ROTATION
+from heliograph.data.error_layout import GYRO_BIAS, POSITION, ROTATION, VELOCITY
+from heliograph.imu import ErrorGrowth
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.calibrating import CalibrationTerms
 from heliograph.odometry.filter.error_state import mounting_error
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.update import FilterUpdate, iterated_update
-from heliograph.registration import MatchSettings, NormalEquations, linearize
+from heliograph.registration import MatchSettings, NormalEquations, linearize, true_share
 
-__all__ = ["AdaptiveNoise", "ScanMatcher", "Thinning", "register"]
+__all__ = ["AdaptiveNoise", "ScanMatcher", "Thinning", "register", "sweep_noise"]
 
 _OPENING_SIGMAS = 2.0  # of the predicted position, that the first kernel's scale spans
 _VAGUE_RATIO = 3.0  # first by final kernel scale, beyond which a prediction is vague
@@ -27,6 +29,11 @@ _NOISE_GAIN, _SHARE_GAIN = 0.1, 0.1  # weights of the latest scan in the running
 _FIRST_LEAF = 0.4  # cube edge that the first scan is thinned with [m]
 _LEAF_TOLERANCE = 0.1  # relative error of the number of points picked that leaves the edge as it is
 _LEAF_STEP = 2.0  # largest factor by which the edge changes from scan to scan
+_MOTION_DIM = GYRO_BIAS.stop  # errors of pose and motion
+# Variance of value, covariance of value and slope, variance of slope at zero of the line fitted to a Wiener process on
+# [0, 1], and of that fitted to the integral of one.
+_TURNED_LINE = (2.0 / 15.0, -1.0 / 10.0, 6.0 / 5.0)
+_MOVED_LINE = (1.0 / 105.0, -11.0 / 210.0, 13.0 / 35.0)
 _SCALE_ITERATIONS = 4  # an iterated update stays no longer at one scale of its kernel
 
 
@@ -66,6 +73,28 @@ class AdaptiveNoise:
         return AdaptiveNoise(sigma)
 
 
+def sweep_noise(growth: ErrorGrowth) -> Array:
+    """Return what an IMU's white noise within a sweep feigns of pose, velocity and gyroscope bias, (12, 12).
+
+    At a time s before the sweep's end, noise of the rate has turned the points by ``W(s)``, a Wiener process of
+    variance ``q s``, and noise of the force has moved them by the integral of one. Matches tell these from errors of
+    the state only by their curvature: the line fitted through either, its value and slope at the end, is taken for an
+    error of pose and bias, or of pose and velocity. The numbers are the covariance of that line, by least squares over
+    a sweep of even times; the prediction has ``q T`` and ``q T^3 / 3`` as what noise has added to rotation and position
+    over it.
+    """
+    added, T = growth.added, max(growth.span, 1e-3)
+    B = np.zeros((_MOTION_DIM, _MOTION_DIM))
+    for value, slope, sign, noise, numbers in (
+        (ROTATION, GYRO_BIAS, 1.0, added[ROTATION, ROTATION], _TURNED_LINE),
+        (POSITION, VELOCITY, -1.0, 3.0 * added[POSITION, POSITION], _MOVED_LINE),
+    ):
+        B[value, value] = numbers[0] * noise
+        B[value, slope] = B[slope, value] = sign * numbers[1] / T * noise
+        B[slope, slope] = numbers[2] / T**2 * noise
+    return B
+
+
 def register(
     prior: NavState,
     local_map: LocalMap,
@@ -76,6 +105,7 @@ def register(
     config: FilterConfig,
     threads: int,
     terms: CalibrationTerms | None = None,
+    sweep_noise: Array | None = None,
 ) -> FilterUpdate[ScanMeasurement]:
     """Update a predicted state with the points of a scan.
 
@@ -102,6 +132,8 @@ def register(
     terms : CalibrationTerms, optional
         What is estimated of mounting and clock. Points and map were made with ``terms.mounted.T_imu_lidar``; where the
         state's mounting differs from it, the residuals are corrected to first order.
+    sweep_noise : (12, 12) float64, optional
+        Covariance of what noise of the IMU within the sweep feigns of pose, velocity and gyroscope bias.
 
     Returns
     -------
@@ -143,9 +175,11 @@ def register(
         measurement = ScanMeasurement.of(sums)
         if mounted is not None:
             measurement = measurement.at_mounting(mounting_error(mounted.T_imu_lidar, state.T_imu_lidar))
+        measurement = measurement.only_true(true_share(sums))
         if terms.rate_change is not None:
             measurement = measurement.with_clock(terms.rate_change)
-        return measurement.scaled(1.0 / config.correlation)
+        measurement = measurement.scaled(1.0 / config.correlation)
+        return measurement if sweep_noise is None or not terms.motion else measurement.blurred(sweep_noise)
 
     return iterated_update(
         prior,
@@ -181,6 +215,7 @@ class ScanMatcher:
         points_at: Callable[[NavState], NDArray[np.float32]],
         before_end: NDArray[np.float32],
         terms: CalibrationTerms,
+        sweep_noise: Array | None = None,
     ) -> FilterUpdate[ScanMeasurement] | None:
         """Return what `register` makes of a scan, None where too few points match to trust it."""
         fit = register(
@@ -192,6 +227,7 @@ class ScanMatcher:
             config=self._config,
             threads=self._threads,
             terms=terms,
+            sweep_noise=sweep_noise,
         )
         return fit if self._trusted(prior, fit.measurement.sums, terms) else None
 
@@ -204,7 +240,7 @@ class ScanMatcher:
         if found.matches < config.min_matches:
             return False
         share = found.matches / found.queries
-        if _is_vague(prior, self.noise, config, terms) and share < config.vague_share * self._usual_share:
+        if share < config.vague_share * self._usual_share and _is_vague(prior, self.noise, config, terms):
             return False
         self._usual_share += _SHARE_GAIN * (share - self._usual_share) if self._usual_share > 0.0 else share
         return True

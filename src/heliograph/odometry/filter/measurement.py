@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import Array, freeze
 from heliograph.data.error_layout import CLOCK, GYRO_BIAS, MOUNTING, POSE, VELOCITY
-from heliograph.registration import NormalEquations
+from heliograph.registration import NormalEquations, TrueShare, true_share
 
 __all__ = ["ScanMeasurement"]
 
@@ -56,6 +56,14 @@ class ScanMeasurement:
         mounting = self.sums.columns_of("mounting")
         return replace(self, gradient=self.gradient + self.information[:, mounting] @ error)
 
+    def only_true(self, found: TrueShare) -> ScanMeasurement:
+        """Return the measurement without the information that noise of the planes' normals feigns."""
+        return replace(self, information=found.information(), gradient=found.gradient(self.gradient))
+
+    def pose_share(self) -> TrueShare:
+        """Return how much of the information on the pose is true if velocity and biases are known."""
+        return true_share(self.sums, self.sums.columns_of("pose"))
+
     def with_clock(self, rate_change: Array) -> ScanMeasurement:
         """Return the measurement with the column of the clock's offset.
 
@@ -70,6 +78,18 @@ class ScanMeasurement:
             information=G.T @ self.information @ G,
             gradient=G.T @ self.gradient,
         )
+
+    def blurred(self, covariance: Array) -> ScanMeasurement:
+        """Return the measurement of a pose and motion that are off by another error too, of ``covariance`` (12, 12).
+
+        By the inversion lemma ``(A^-1 + B)^-1 = (1 + A B)^-1 A``, and the gradient likewise.
+        """
+        size = len(self.columns)
+        B = np.zeros((size, size))
+        B[: len(covariance), : len(covariance)] = covariance
+        share = np.linalg.inv(np.eye(size) + self.information @ B)
+        information = share @ self.information
+        return replace(self, information=0.5 * (information + information.T), gradient=share @ self.gradient)
 
     def scaled(self, share: float) -> ScanMeasurement:
         """Return the measurement that counts only ``share`` of the matches as independent."""

@@ -16,7 +16,7 @@ from heliograph.imu import ImuPath
 from heliograph.lie import interpolate_se3, se3
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.update import FilterUpdate
-from heliograph.registration import Observability, observability
+from heliograph.registration import TrueShare, observability
 
 __all__ = ["ScanOutcome", "Stopwatch", "dead_reckoned", "scan_result"]
 
@@ -45,6 +45,7 @@ class ScanOutcome:
     points_imu: NDArray[np.float32]
     intensity: NDArray[np.float32] | None
     fit: FilterUpdate[ScanMeasurement] | None
+    seen: TrueShare | None
     queries: int
 
     def __post_init__(self) -> None:
@@ -72,14 +73,15 @@ def scan_result(
         queries=outcome.queries,
         events=_held_events(path, scan),
     )
-    if fit is None:
+    if fit is None or outcome.seen is None:
         return replace(common, status=_status_without_match(outcome, index, pose_covariance, config))
     equations = fit.measurement.sums
-    mean_square = float(np.mean(np.einsum("ij,ij->i", points_imu, points_imu))) if len(points_imu) else 1.0
+    mean_square = float(np.einsum("ij,ij->", points_imu, points_imu)) / max(len(points_imu), 1)
     found = observability(equations, mean_square)
     return replace(
         common,
-        status="degenerate" if _blind(found, config) else "tracked",
+        status="tracked" if outcome.seen.share.all() else "degenerate",
+        weak_share=float(outcome.seen.share.min()),
         matches=equations.matches,
         fallback_matches=equations.fallback_matches,
         iterations=fit.iterations,
@@ -136,10 +138,6 @@ def _status_without_match(
     if float(np.sqrt(np.linalg.eigvalsh(pose_covariance[POSITION, POSITION])[-1])) > config.lost_sigma:
         return "lost"
     return "empty" if len(outcome.points_imu) == 0 else "predicted"
-
-
-def _blind(found: Observability, config: FilterConfig) -> bool:
-    return bool(found.translation[0] < config.degenerate_translation or found.rotation[0] < config.degenerate_rotation)
 
 
 def _held_events(path: ImuPath, scan: Scan) -> tuple[Event, ...]:

@@ -15,7 +15,7 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import Array
+from heliograph.arrays import Array, freeze
 from heliograph.data import NavState
 from heliograph.data.error_layout import POSE, POSITION, ROTATION
 from heliograph.odometry.filter.error_state import local, reset_jacobian, retract
@@ -53,8 +53,13 @@ class FilterUpdate(Generic[L]):
     measurement: L
     iterations: int
     converged: bool
+    retained: Array
+    """What is left of an error of the prior in the posterior, (K, K)."""
     nis: float
-    """Squared correction of pose in units of its predicted uncertainty; about 6 on average when that is honest."""
+    """Squared correction of pose in units of its predicted uncertainty; 6 on average if matches erred independently."""
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
 
 def embedded(measurement: Linearization, dim: int) -> tuple[Array, Array]:
@@ -116,7 +121,9 @@ def iterated_update(
             break
     J_step = reset_jacobian(before, step)
     covariance = J_step @ gain_form @ P @ J_step.T
+    retained = J_step @ gain_form @ J
     if considered is not None:
+        retained += considered @ (J_step @ J - retained)
         # The gain of all else is the optimal one, so only the block of what stayed differs from the full update's.
         covariance += considered @ (J_step @ P @ J_step.T - covariance) @ considered.T
     total = local(prior, state)[POSE]
@@ -127,6 +134,7 @@ def iterated_update(
         measurement=measurement,
         iterations=iteration + 1,
         converged=converged,
+        retained=retained,
         nis=nis,
     )
 

@@ -1,6 +1,7 @@
 """The local map in the filter's hands: counted, pruned, begun anew with what that costs in certainty."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,7 +28,8 @@ def keeper():
 
 
 def extended(keeper, state, cloud, *, matched=True):
-    keeper.extend(cloud, np.eye(4), state, sigma=0.03, matched=matched)
+    seen = SimpleNamespace(share=np.ones(6), covariance=lambda: np.eye(6), matches=3.0)
+    keeper.extend(cloud, np.eye(4), state, seen if matched else None)
 
 
 def test_map_begun_anew_is_as_uncertain_as_the_pose_that_ties_it(keeper, rng):
@@ -36,7 +38,7 @@ def test_map_begun_anew_is_as_uncertain_as_the_pose_that_ties_it(keeper, rng):
     extended(keeper, certain, cloud, matched=False)
     extended(keeper, certain, cloud)
     assert not keeper.pose_covariance(certain).any()
-    keeper.begin_anew(state, sigma=0.03)
+    keeper.begin_anew(state)
     assert keeper.empty
     np.testing.assert_allclose(keeper.pose_covariance(certain), state.covariance[:6, :6], rtol=1e-9)
 
@@ -49,7 +51,7 @@ def test_scans_count_from_the_first_that_left_something(keeper, rng):
         assert keeper.scans == 1
     extended(keeper, state, cloud)
     assert (keeper.empty, keeper.scans) == (False, 2)
-    keeper.begin_anew(state, sigma=0.03)
+    keeper.begin_anew(state)
     extended(keeper, state, cloud)
     assert keeper.scans == 1
 

@@ -171,7 +171,8 @@ def test_column_of_the_clock_is_the_derivative_of_the_deskewed_residual(seed):
 def _equations(J, r):
     """The sums over one residual with unit noise."""
     return NormalEquations(
-        information=np.outer(J, J), gradient=J * r, blocks=("pose", "motion"), weight=1.0, robust_weight=1.0,
+        information=np.outer(J, J), gradient=J * r, feigned=0.0 * np.outer(J, J), feigned_square=0.0,
+        blocks=("pose", "motion"), weight=1.0, robust_weight=1.0,
         square=r * r, cost=0.5 * r * r, matches=1, fallback_matches=0, queries=1,
     )  # fmt: skip
 
