@@ -232,10 +232,68 @@ def street(rng: np.random.Generator) -> Place:
     return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=60.0, closed=False))
 
 
+def _relief(rng: np.random.Generator) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
+    """Return the height of rolling ground over x and y: waves of 20 to 70 m, 0.25 to 0.4 m from trough to crest."""
+    waves = 5
+    length, heading, phase = rng.uniform(20.0, 70.0, waves), rng.uniform(0.0, np.pi, waves), rng.uniform(0.0, 7.0, waves)
+    k = 2.0 * np.pi / length * np.array([np.cos(heading), np.sin(heading)])
+    height = rng.uniform(0.25, 0.4) / (2.0 * np.sqrt(waves))
+
+    def at(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(height * np.sin(np.multiply.outer(x, k[0]) + np.multiply.outer(y, k[1]) + phase).sum(axis=-1))
+
+    return at
+
+
+def _open_ground(rng: np.random.Generator, poles: int) -> Place:
+    """Return rolling ground of 150 m a side, in facets of 2.5 m, with poles far off; the way is a loop of 98 m."""
+    relief, edge, half = _relief(rng), 2.5, 75.0
+    primitives = []
+    for x in np.arange(-half + edge / 2.0, half, edge):
+        for y in np.arange(-half + edge / 2.0, half, edge):
+            rise = [relief(x + edge / 2.0, y) - relief(x - edge / 2.0, y)]
+            rise.append(relief(x, y + edge / 2.0) - relief(x, y - edge / 2.0))
+            R = so3.from_two_vectors(np.array([0.0, 0.0, 1.0]), np.array([-rise[0] / edge, -rise[1] / edge, 1.0]))
+            # A little larger than its place, so that no ray slips through a seam.
+            primitives.append(rectangle((x, y, relief(x, y)), (1.01 * edge, 1.01 * edge), R, _GRASS))
+    for angle in rng.uniform(0.0, 2.0 * np.pi, poles):
+        x, y = rng.uniform(35.0, 60.0) * np.array([np.cos(angle), np.sin(angle)])
+        primitives.append(cylinder((x, y, relief(x, y) + 2.0), 0.12, 5.0, None, _STEEL))
+    corners = np.array([(0.0, -7.5), (17.0, -7.5), (17.0, 7.5), (-17.0, 7.5), (-17.0, -7.5)])
+    waypoints = np.column_stack([corners, relief(*corners.T) + 1.2])
+    return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=4.0))
+
+
+def open_field(rng: np.random.Generator) -> Place:
+    """Return rolling ground with eight poles 35 to 60 m away: next to nothing tells where one is along the ground."""
+    return _open_ground(rng, 8)
+
+
+def bare_field(rng: np.random.Generator) -> Place:
+    """Return rolling ground with nothing on it."""
+    return _open_ground(rng, 0)
+
+
+def level_street(rng: np.random.Generator) -> Place:
+    """Return the street with a level way of 60 m straight on, on which a tilt cannot be told from a bias."""
+    waypoints = np.array([(0.0, 0.0, 1.2), (60.0, 0.0, 1.2)])
+    return Place(world=street(rng).world, course=Course(waypoints=waypoints, corner=1.0, closed=False))
+
+
+def level_aisles(rng: np.random.Generator) -> Place:
+    """Return the warehouse with a level way of 52 m that turns three times."""
+    waypoints = np.array([(5.0, 6.0, 0.9), (20.0, 6.0, 0.9), (20.0, 18.0, 0.9), (4.0, 18.0, 0.9), (4.0, 8.0, 0.9)])
+    return Place(world=warehouse(rng).world, course=Course(waypoints=waypoints, corner=1.6, closed=False))
+
+
 PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(
     {
         "aisles": aisles,
+        "bare_field": bare_field,
+        "level_aisles": level_aisles,
         "level_room": level_room,
+        "level_street": level_street,
+        "open_field": open_field,
         "room": room,
         "street": street,
         "tunnel": tunnel,

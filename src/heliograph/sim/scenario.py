@@ -169,6 +169,12 @@ def _registry() -> dict[str, Scenario]:
         "calibration": Scenario(name="calibration", place="room", walk=short, gait=waved, lidar=indoors),
         "planar": Scenario(name="planar", place="level_room", walk=short, gait=slalom, lidar=indoors),
         "tunnel": Scenario(name="tunnel", place="tunnel", gnss=GnssModel(rate=0.0)),
+        "field": Scenario(name="field", place="open_field").thinned(beams=32, columns=512),
+        "bare-field": Scenario(name="bare-field", place="bare_field").thinned(beams=32, columns=512),
+        "level-straight": Scenario(name="level-straight", place="level_street", walk=Walk(duration=38.0)).thinned(
+            beams=32, columns=512
+        ),
+        "level-turns": Scenario(name="level-turns", place="level_aisles").thinned(beams=32, columns=512),
         **{scenario.name: scenario for scenario in _moving_starts()},
     }
 

@@ -63,6 +63,7 @@ class FilterCore:
             local_map if local_map is not None else VoxelMap(config.map), config.filter, start.p_odom
         )
         self._matcher = ScanMatcher(config, threads=threads)
+        self._deskews = config.cloud.deskew != "off"
         self._history: ImuPath | None = None
         self._count = 0
 
@@ -134,7 +135,7 @@ class FilterCore:
         """Update with the picked points; None when too few of them match."""
         if self._keeper.empty or len(points) < self._config.filter.min_matches:
             return None
-        before_end = ((scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)).astype(np.float32)
+        before_end = self._before_end(scan, offsets)
         predicted, terms = self._deskew(points, offsets, scan, path), self._calibration.terms(path)
 
         def points_at(state: NavState) -> NDArray[np.float32]:
@@ -147,6 +148,12 @@ class FilterCore:
             self._calibration.learn(fit.measurement)
         return fit
 
+    def _before_end(self, scan: Scan, offsets: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Return how long before the sweep's end each point was carried over by velocity and rate, (N,) [s]."""
+        if not self._deskews:
+            return np.zeros(len(offsets), np.float32)  # nothing is, so a residual tells nothing about either
+        return ((scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)).astype(np.float32)
+
     def _settled(self, state: NavState) -> NavState:
         """Begin the map anew where a better mounting has shown it to be bent; its first pose defines its frame."""
         if not self._calibration.is_bent(state, self._keeper.scans):
@@ -157,7 +164,7 @@ class FilterCore:
     def _deskew(
         self, points: NDArray[np.float32], offsets: NDArray[np.int32], scan: Scan, path: ImuPath
     ) -> NDArray[np.float32]:
-        first = 0 if self._config.cloud.deskew != "off" else len(path.stamps_ns) - 1
+        first = 0 if self._deskews else len(path.stamps_ns) - 1
         return deskew(
             points,
             offsets,

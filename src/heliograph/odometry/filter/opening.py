@@ -126,7 +126,9 @@ def constant_velocity_state(stamp_ns: int, v: Array, rate: Array, rig: Rig, conf
     return replace(state, v_odom=v, gyro_bias=-rate)
 
 
-def lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: int) -> OpeningMotion | None:
+def lidar_only(
+    packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: int
+) -> tuple[OpeningMotion, list[ScanResult]] | None:
     """Run the constant-velocity filter over the first scans, and again with its first map de-skewed.
 
     Between houses a LiDAR that expects rest sees rest at any speed beyond two metres a scan: the walls along the way
@@ -157,7 +159,7 @@ def lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: 
         moved = _fit_motion(T, np.array([result.end_ns for result in results], dtype=np.int64), scans[0].stamp_ns)
         if not last:
             results = run(moved.v_imu, moved.rate_imu, len(scans))
-    return moved
+    return moved, results
 
 
 def _share(results: Sequence[ScanResult]) -> float:
