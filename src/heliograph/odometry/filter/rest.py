@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ _FREEDOM = 6  # numbers that a motion has to spend on a scan
 # Matches of a plane share its error. Scans of a body at rest show it as often as the map has seen it, or less: at most
 # it is as large as that of the mean of a scan's own points, which doubles the variance of what they say together.
 _SHARED_PLANES = 2.0
+_MOST_LEVELS = 8
 _LEAF = 0.3  # cube edge that scans are compared with [m]
 _ANY_DISTANCE = 100.0  # a gate that shuts out nothing: a plane far off where there should be one is what tells [m]
 
@@ -63,7 +65,10 @@ def motion_advantage(scans: Sequence[Scan], results: Sequence[ScanResult], confi
     nothing moved. Points count for which both have a plane: how densely points lie, and so where there are planes at
     all, is no evidence of rest or motion.
     """
-    moving, resting = VoxelMap(config.map), VoxelMap(config.map)
+    # What does not fit together makes thick planes: they must stay, as it is they that tell; and wider cubes catch what
+    # has gone far.
+    thick = replace(config.map, max_thickness=_ANY_DISTANCE, levels=min(config.map.levels + 1, _MOST_LEVELS))
+    moving, resting = VoxelMap(thick), VoxelMap(thick)
     total = 0.0
     for scan, result in zip(scans, results, strict=True):
         points = scan.points[range_gate(scan.points, config.cloud.min_range, config.cloud.max_range)]
@@ -87,4 +92,6 @@ def _misfit(
     found: PlaneMatches = planes.planes_at(q, gate=_ANY_DISTANCE, neighbours=False)
     r = np.einsum("ij,ij->i", found.normal.astype(np.float64), q - found.point)
     c2 = (config.filter.kernel * sigma) ** 2
-    return 0.5 * r * r * c2 / (c2 + r * r) / (sigma**2 + found.variance), found.source > 0
+    variance = sigma**2 + found.variance
+    # A plane that is known badly forgives more and promises less: without the logarithm thick planes would win.
+    return 0.5 * (r * r * c2 / (c2 + r * r) / variance + np.log(variance)), found.source > 0
