@@ -58,8 +58,8 @@ _SETTLED_SPEED = 0.02
 _TRIED_SCANS, _BLIND_SHARE = 5, 0.5
 _FAST_SPEED = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
 # A start looks at the same few seconds again and again, for what a tenth of the points shows: so many of a scan are put
-# into its maps, and so many matched.
-_START_POINTS, _START_MATCHES = 12_000, 2_000
+# into its maps, so many matched, and one in so many of them that has no plane may look for neighbours.
+_START_POINTS, _START_MATCHES, _START_STRIDE = 6_000, 1_000, 8
 _SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
 
 
@@ -96,7 +96,11 @@ def _light(config: RunConfig) -> RunConfig:
     return replace(
         config,
         cloud=replace(config.cloud, target_points=matches),
-        filter=replace(config.filter, correlation=max(1.0, share * config.filter.correlation)),
+        filter=replace(
+            config.filter,
+            correlation=max(1.0, share * config.filter.correlation),
+            fallback_stride=_START_STRIDE if config.filter.fallback_stride > 0 else 0,
+        ),
     )
 
 
