@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.data import StartAccount
+from heliograph.output.level import Level
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 
@@ -90,6 +91,7 @@ def final_facts(
             "eigenvalue": summary.weakest_eigenvalue,
             "direction_map": summary.weakest_direction.tolist(),
         },
+        "level": _level(summary.level),
         **({"start": _start(summary.start)} if summary.start is not None else {}),
         "warnings": [asdict(event) for event in summary.events],
         "timings": _timings(summary, writer_seconds, closing_seconds),
@@ -101,6 +103,17 @@ def final_facts(
         "files": [path.name for path in files],
     }
     return {key: plain(value) for key, value in account.items()}
+
+
+def _level(level: Level) -> dict[str, Any]:
+    """Return how well it is known which way is up, in degrees, and in metres of height at the farthest place."""
+    known = level.known
+    return {
+        "sigma_deg": math.degrees(level.sigma) if known else None,
+        "sigma_height_m": level.sigma_position if known else None,
+        "reach_m": level.reach,
+        "sentence": level.sentence(),
+    }
 
 
 def _start(start: StartAccount) -> dict[str, Any]:

@@ -144,7 +144,7 @@ class RunFolder(Sink):
         points, intensity = _NO_POINTS, None
         with self._step("map", failures):
             points, intensity = self._map_points(summary)
-        table = self._log.table(summary.final)
+        table = self._log.table(summary.final, summary.level)
         self.files += [*self._trajectories.paths, self._log.path]
         with self._step("trajectory", failures):
             self._trajectories.close(summary.final, summary.T_map_odom)

@@ -57,8 +57,8 @@ _SETTLED_SPEED = 0.02
 # Scans to try other speeds with, where the LiDAR is blind along its way and matches less than this share of its points.
 _TRIED_SCANS, _BLIND_SHARE = 5, 0.5
 _FAST_SPEED = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
-# A start looks at the same few seconds again and again, for what a tenth of the points shows: so many of a scan are put
-# into its maps, so many matched, and one in so many of them that has no plane may look for neighbours.
+# A start looks at the same few seconds again and again, for what a tenth of the points shows: points of a scan that are
+# put into its maps, points matched, and the share of those without a plane that may look for neighbours.
 _START_POINTS, _START_MATCHES, _START_STRIDE = 6_000, 1_000, 8
 _SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
 

@@ -29,7 +29,7 @@ _FREEDOM = 6  # numbers that a motion has to spend on a scan
 # Matches of a plane share its error. Scans of a body at rest show it as often as the map has seen it, or less: at most
 # it is as large as that of the mean of a scan's own points, which doubles the variance of what they say together.
 _SHARED_PLANES = 2.0
-_MOST_LEVELS = 8
+_MAX_LEVELS = 8
 _LEAF = 0.3  # cube edge that scans are compared with [m]
 _ANY_DISTANCE = 100.0  # a gate that shuts out nothing: a plane far off where there should be one is what tells [m]
 
@@ -67,7 +67,7 @@ def motion_advantage(scans: Sequence[Scan], results: Sequence[ScanResult], confi
     """
     # What does not fit together makes thick planes: they must stay, as it is they that tell; and wider cubes catch what
     # has gone far.
-    thick = replace(config.map, max_thickness=_ANY_DISTANCE, levels=min(config.map.levels + 1, _MOST_LEVELS))
+    thick = replace(config.map, max_thickness=_ANY_DISTANCE, levels=min(config.map.levels + 1, _MAX_LEVELS))
     moving, resting = VoxelMap(thick), VoxelMap(thick)
     total = 0.0
     for scan, result in zip(scans, results, strict=True):
