@@ -15,8 +15,8 @@ G = 9.80665
 
 
 def tilted(rng):
-    """A gravity off the vertical by some degrees, and the covariance of its direction."""
-    direction = so3.exp(0.1 * rng.normal(size=3)) @ [0.0, 0.0, -1.0]
+    """A gravity off the vertical by a fraction of a degree, and the covariance of its direction."""
+    direction = so3.exp(0.005 * rng.normal(size=3)) @ [0.0, 0.0, -1.0]
     root = 0.02 * rng.normal(size=(2, 2))
     return G * direction, root @ root.T
 

@@ -144,9 +144,13 @@ class FilterCore:
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
         fit = self._matcher.match(prior, self.map, points_at, before_end, terms)
-        if fit is not None:
-            self._calibration.learn(fit.measurement)
-        return fit
+        # Without an IMU a sweep's own motion is fitted along: an update that still moves when it ends is no measurement.
+        if fit is None or not (fit.converged or self._motion.inertial):
+            return None
+        self._calibration.learn(fit.measurement)
+        seconds = float(path.stamps_ns[-1] - path.stamps_ns[0]) * 1e-9
+        sweep = float(before_end.max(initial=0.0))
+        return replace(fit, state=self._motion.settled(prior, fit.state, seconds=seconds, sweep=sweep))
 
     def _before_end(self, scan: Scan, offsets: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return how long before the sweep's end each point was carried over by velocity and rate, (N,) [s]."""
