@@ -205,9 +205,7 @@ class ScanLog:
         total = round(sum(timings.values()), 4)
         return [*integers, self._statuses[number], *_shortened(floats), total, *stages, *more]
 
-    def _moved(
-        self, floats: NDArray[np.float64], T_map_odom: NDArray[np.float64], level: Level
-    ) -> NDArray[np.float64]:
+    def _moved(self, floats: NDArray[np.float64], T_map_odom: NDArray[np.float64], level: Level) -> NDArray[np.float64]:
         """Return the rows with their vectors moved by one (4, 4) for all, or by one a row (N, 4, 4), and their sigmas.
 
         What is not known of the level is an error of the map's pose against the earth; rows in the odom frame, whose

@@ -235,7 +235,11 @@ def street(rng: np.random.Generator) -> Place:
 def _relief(rng: np.random.Generator) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
     """Return the height of rolling ground over x and y: waves of 20 to 70 m, 0.25 to 0.4 m from trough to crest."""
     waves = 5
-    length, heading, phase = rng.uniform(20.0, 70.0, waves), rng.uniform(0.0, np.pi, waves), rng.uniform(0.0, 7.0, waves)
+    length, heading, phase = (
+        rng.uniform(20.0, 70.0, waves),
+        rng.uniform(0.0, np.pi, waves),
+        rng.uniform(0.0, 7.0, waves),
+    )
     k = 2.0 * np.pi / length * np.array([np.cos(heading), np.sin(heading)])
     height = rng.uniform(0.25, 0.4) / (2.0 * np.sqrt(waves))
 

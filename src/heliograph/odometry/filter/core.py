@@ -144,7 +144,7 @@ class FilterCore:
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
         fit = self._matcher.match(prior, self.map, points_at, before_end, terms)
-        # Without an IMU a sweep's own motion is fitted along: an update that still moves when it ends is no measurement.
+        # Without an IMU the sweep's motion is fitted along: an update that still moves when it ends is no measurement.
         if fit is None or not (fit.converged or self._motion.inertial):
             return None
         self._calibration.learn(fit.measurement)

@@ -53,7 +53,6 @@ class MotionModel:
         # Without an IMU none of its samples is missing, however long the way from scan to scan.
         return ahead if self.inertial else replace(ahead, path=replace(ahead.path, held_s=0.0))
 
-
     def settled(self, prior: NavState, posterior: NavState, *, seconds: float, sweep: float) -> NavState:
         """Return the state after an update, as sure as the motion within the sweep allows, and learn from it.
 
