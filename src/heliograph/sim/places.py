@@ -232,7 +232,7 @@ def street(rng: np.random.Generator) -> Place:
     return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=60.0, closed=False))
 
 
-def _relief(rng: np.random.Generator) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
+def _relief(rng: np.random.Generator) -> Callable[[ArrayLike, ArrayLike], NDArray[np.float64]]:
     """Return the height of rolling ground over x and y: waves of 20 to 70 m, 0.25 to 0.4 m from trough to crest."""
     waves = 5
     length, heading, phase = (
@@ -243,7 +243,7 @@ def _relief(rng: np.random.Generator) -> Callable[[NDArray[np.float64], NDArray[
     k = 2.0 * np.pi / length * np.array([np.cos(heading), np.sin(heading)])
     height = rng.uniform(0.25, 0.4) / (2.0 * np.sqrt(waves))
 
-    def at(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
         return np.asarray(height * np.sin(np.multiply.outer(x, k[0]) + np.multiply.outer(y, k[1]) + phase).sum(axis=-1))
 
     return at
@@ -255,14 +255,13 @@ def _open_ground(rng: np.random.Generator, poles: int) -> Place:
     primitives = []
     for x in np.arange(-half + edge / 2.0, half, edge):
         for y in np.arange(-half + edge / 2.0, half, edge):
-            rise = [relief(x + edge / 2.0, y) - relief(x - edge / 2.0, y)]
-            rise.append(relief(x, y + edge / 2.0) - relief(x, y - edge / 2.0))
-            R = so3.from_two_vectors(np.array([0.0, 0.0, 1.0]), np.array([-rise[0] / edge, -rise[1] / edge, 1.0]))
+            slopes = [relief(x + dx, y + dy) - relief(x - dx, y - dy) for dx, dy in ((edge / 2, 0.0), (0.0, edge / 2))]
+            R = so3.from_two_vectors(np.array([0.0, 0.0, 1.0]), np.array([*(-np.array(slopes) / edge), 1.0]))
             # A little larger than its place, so that no ray slips through a seam.
-            primitives.append(rectangle((x, y, relief(x, y)), (1.01 * edge, 1.01 * edge), R, _GRASS))
+            primitives.append(rectangle((x, y, float(relief(x, y))), (1.01 * edge, 1.01 * edge), R, _GRASS))
     for angle in rng.uniform(0.0, 2.0 * np.pi, poles):
         x, y = rng.uniform(35.0, 60.0) * np.array([np.cos(angle), np.sin(angle)])
-        primitives.append(cylinder((x, y, relief(x, y) + 2.0), 0.12, 5.0, None, _STEEL))
+        primitives.append(cylinder((x, y, float(relief(x, y)) + 2.0), 0.12, 5.0, None, _STEEL))
     corners = np.array([(0.0, -7.5), (17.0, -7.5), (17.0, 7.5), (-17.0, 7.5), (-17.0, -7.5)])
     waypoints = np.column_stack([corners, relief(*corners.T) + 1.2])
     return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=4.0))

@@ -156,7 +156,8 @@ class FilterCore:
         """Return how long before the sweep's end each point was carried over by velocity and rate, (N,) [s]."""
         if not self._deskews:
             return np.zeros(len(offsets), np.float32)  # nothing is, so a residual tells nothing about either
-        return ((scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)).astype(np.float32)
+        before_end = (scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)
+        return np.asarray(before_end, dtype=np.float32)
 
     def _settled(self, state: NavState) -> NavState:
         """Begin the map anew where a better mounting has shown it to be bent; its first pose defines its frame."""
