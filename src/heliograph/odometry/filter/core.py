@@ -103,7 +103,9 @@ class FilterCore:
 
         if fit is not None or self._keeper.empty:
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
-            self._keeper.extend(points_imu, pose, posterior, sigma=self.noise.sigma, matched=fit is not None)  # (9)
+            # What did not settle ties no new ground to the frame; the next scan that does, ties it.
+            tied = fit is not None and (fit.converged or self._motion.inertial)
+            self._keeper.extend(points_imu, pose, posterior, sigma=self.noise.sigma, matched=tied)  # (9)
         watch.lap("map")
 
         intensity = _taken(scan.intensity, keep) if scan.intensity is not None else None
@@ -144,13 +146,13 @@ class FilterCore:
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
         fit = self._matcher.match(prior, self.map, points_at, before_end, terms)
-        # Without an IMU the sweep's motion is fitted along: an update that still moves when it ends is no measurement.
-        if fit is None or not (fit.converged or self._motion.inertial):
+        if fit is None:
             return None
         self._calibration.learn(fit.measurement)
         seconds = float(path.stamps_ns[-1] - path.stamps_ns[0]) * 1e-9
         sweep = float(before_end.max(initial=0.0))
-        return replace(fit, state=self._motion.settled(prior, fit.state, seconds=seconds, sweep=sweep))
+        state = self._motion.settled(prior, fit.state, converged=fit.converged, seconds=seconds, sweep=sweep)
+        return replace(fit, state=state)
 
     def _before_end(self, scan: Scan, offsets: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return how long before the sweep's end each point was carried over by velocity and rate, (N,) [s]."""

@@ -53,13 +53,18 @@ class MotionModel:
         # Without an IMU none of its samples is missing, however long the way from scan to scan.
         return ahead if self.inertial else replace(ahead, path=replace(ahead.path, held_s=0.0))
 
-    def settled(self, prior: NavState, posterior: NavState, *, seconds: float, sweep: float) -> NavState:
+    def settled(
+        self, prior: NavState, posterior: NavState, *, converged: bool, seconds: float, sweep: float
+    ) -> NavState:
         """Return the state after an update, as sure as the motion within the sweep allows, and learn from it.
 
         Parameters
         ----------
         prior, posterior : NavState
             Before and after the update.
+        converged : bool
+            Whether it settled. Without an IMU the motion within the sweep is fitted along; an update that still moves
+            when it ends is followed, but nothing is known better by it.
         seconds : float
             Since the update before [s].
         sweep : float
@@ -67,6 +72,8 @@ class MotionModel:
         """
         if self.inertial:
             return posterior
+        if not converged:
+            posterior = replace(posterior, covariance=prior.covariance)
         self._unsteadiness = self._unsteadiness.updated(prior, posterior, seconds)
         return self._unsteadiness.bent(posterior, sweep)
 

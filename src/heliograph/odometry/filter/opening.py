@@ -58,8 +58,9 @@ _SETTLED_SPEED = 0.02
 _TRIED_SCANS, _BLIND_SHARE = 5, 0.5
 _FAST_SPEED = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
 # A start looks at the same few seconds again and again, for what a tenth of the points shows: points of a scan that are
-# put into its maps, points matched, and the share of those without a plane that may look for neighbours.
-_START_POINTS, _START_MATCHES, _START_STRIDE = 6_000, 1_000, 8
+# put into its maps, points matched, and one in how many of those without a plane may look for neighbours. The LiDAR
+# alone has nothing else to go by, and gets twice as many as where the IMU leads.
+_ALONE, _LED = (12_000, 2_000, 2), (6_000, 1_000, 8)
 _SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
 
 
@@ -86,12 +87,16 @@ class OpeningMotion:
 def scans_of(packets: Sequence[Packet]) -> list[Scan]:
     """Return the scans that hold points, each with as many of them as a start needs."""
     scans = [packet.scan for packet in packets if packet.scan is not None and len(packet.scan) > 0]
-    return [scan.thinned(max(1, len(scan) // _START_POINTS)) for scan in scans]
+    return _thinned(scans, _ALONE[0])
 
 
-def _light(config: RunConfig) -> RunConfig:
+def _thinned(scans: Sequence[Scan], points: int) -> list[Scan]:
+    return [scan.thinned(len(scan) // points) if len(scan) >= 2 * points else scan for scan in scans]
+
+
+def _light(config: RunConfig, matches: int, stride: int) -> RunConfig:
     """Return the configuration with fewer points to match; they lie farther apart, so fewer of them share a plane."""
-    matches = min(_START_MATCHES, config.cloud.target_points)
+    matches = min(matches, config.cloud.target_points)
     share = matches / config.cloud.target_points
     return replace(
         config,
@@ -99,7 +104,7 @@ def _light(config: RunConfig) -> RunConfig:
         filter=replace(
             config.filter,
             correlation=max(1.0, share * config.filter.correlation),
-            fallback_stride=_START_STRIDE if config.filter.fallback_stride > 0 else 0,
+            fallback_stride=max(stride, config.filter.fallback_stride) if config.filter.fallback_stride > 0 else 0,
         ),
     )
 
@@ -155,7 +160,7 @@ def lidar_only(
     fit everywhere. What gives that away is that it is blind along the way while most points find nothing; then higher
     speeds are tried, and the one that matches more points is followed.
     """
-    scans, config = scans_of(packets), _light(config)
+    scans, config = scans_of(packets), _light(config, *_ALONE[1:])
     if len(scans) < 3:
         return None
 
@@ -259,12 +264,15 @@ def find_motion(
         can be matched to say anything.
     """
     scans = scans_of(packets)
+    # Sparse scans cost little as they are, and need what they have.
+    dense = max((len(scan) for scan in scans), default=0) >= 2 * _LED[0]
+    scans, light = (_thinned(scans, _LED[0]), _light(config, *_LED[1:])) if dense else (scans, config)
     if len(scans) < _MIN_POSES:
         return None
     noise = noise_in_motion(imu, config.imu)
 
     def led(state: NavState, lead: ImuBatch) -> _Led:
-        return _Led(state, lead, _light(config), threads)
+        return _Led(state, lead, light, threads)
 
     def align(followed: _Followed, scale_sigma: float = 0.0) -> MotionStart:
         return align_motion(

@@ -63,6 +63,12 @@ def test_only_the_constant_velocity_model_learns(rng):
     state = rest_state()
     after = moved(state, np.array([9.0, 0.0, 0.0]), np.zeros(3))
     inertial = MotionModel(ImuConfig(), FilterConfig(), LEAST)
-    assert inertial.settled(state, after, seconds=0.1, sweep=0.1) is after
+    assert inertial.settled(state, after, converged=True, seconds=0.1, sweep=0.1) is after
     alone = MotionModel(ImuConfig(), FilterConfig(), None)
-    assert np.trace(alone.settled(state, after, seconds=0.1, sweep=0.1).covariance) > np.trace(after.covariance)
+    vague = alone.settled(
+        replace(state, covariance=4.0 * state.covariance), after, converged=False, seconds=0.1, sweep=0.0
+    )
+    np.testing.assert_array_equal(vague.covariance, 4.0 * state.covariance)
+    assert np.trace(alone.settled(state, after, converged=True, seconds=0.1, sweep=0.1).covariance) > np.trace(
+        after.covariance
+    )
