@@ -12,7 +12,7 @@ __all__ = ["closing_lines", "print_closing", "times", "warning_lines"]
 
 
 def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
-    """Return what a run amounted to: distance, time, gap, speed, weakest direction, files, verdict.
+    """Return what a run amounted to: distance, time, gap, speed, level, weakest direction, files, verdict.
 
     Parameters
     ----------
@@ -33,6 +33,8 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
         f"start-end gap {facts['start_end_gap_m']:.3f} m",
         f"{timings['wall_ms_per_scan']:.1f} ms a scan ({parts}){memory}",
     ]
+    if facts["level"]["sentence"]:
+        lines.append(facts["level"]["sentence"])
     if weakest["eigenvalue"] is not None:
         direction = ", ".join(f"{value:+.2f}" for value in weakest["direction_map"])
         lines.append(

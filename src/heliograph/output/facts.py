@@ -14,6 +14,7 @@ import numpy as np
 
 from heliograph.data import GraphAccount, StartAccount
 from heliograph.output.blind_spans import BlindSpan
+from heliograph.output.level import Level
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 
@@ -93,6 +94,7 @@ def final_facts(
         },
         **({"graph": graph_facts(summary.graph)} if summary.graph is not None else {}),
         "blind_spans": [_blind(span) for span in summary.blind_spans],
+        "level": _level(summary.level),
         **({"start": _start(summary.start)} if summary.start is not None else {}),
         "warnings": [asdict(event) for event in summary.events],
         "timings": _timings(summary, writer_seconds, closing_seconds),
@@ -123,6 +125,17 @@ def _blind(span: BlindSpan) -> dict[str, Any]:
         "sigma_before_m": span.sigma_before,
         "sigma_after_m": span.sigma_after,
         "growth_m": span.growth,
+    }
+
+
+def _level(level: Level) -> dict[str, Any]:
+    """Return how well it is known which way is up, in degrees, and in metres of height at the farthest place."""
+    known = level.known
+    return {
+        "sigma_deg": math.degrees(level.sigma) if known else None,
+        "sigma_height_m": level.sigma_position if known else None,
+        "reach_m": level.reach,
+        "sentence": level.sentence(),
     }
 
 

@@ -147,7 +147,7 @@ class RunFolder(Sink):
         points, intensity = _NO_POINTS, None
         with self._step("map", failures):
             points, intensity = self._map_points(summary)
-        table = self._log.table(summary.final)
+        table = self._log.table(summary.final, summary.level)
         self.files += [*self._trajectories.paths, self._log.path]
         self.files += [self.path / name for name in (summary.graph.files if summary.graph is not None else ())]
         with self._step("trajectory", failures):

@@ -12,6 +12,7 @@ from heliograph.data import OnlineCalibration, ScanResult
 from heliograph.io.files.csvs import CsvWriter
 from heliograph.lie import so3
 from heliograph.output.final_poses import FinalPoses
+from heliograph.output.level import Level
 
 __all__ = ["ScanLog", "ScanTable"]
 
@@ -127,7 +128,8 @@ class ScanLog:
         self._floats: list[NDArray[np.float64]] = []
         self._statuses: list[str] = []
         self._timings: list[dict[str, float]] = []
-        self._position_covariances: list[NDArray[np.float64]] = []
+        self._pose_covariances: list[NDArray[np.float64]] = []
+        self._rotations: list[NDArray[np.float64]] = []
         self._calibrations: list[NDArray[np.float64]] = []
         self._writer: CsvWriter | None = None
         self._stages: tuple[str, ...] = ()
@@ -150,7 +152,8 @@ class ScanLog:
         if result.calibration is not None:
             self._calibrations.append(_calibration(result.calibration))
         self._timings.append(dict(result.timings))
-        self._position_covariances.append(result.pose_covariance[3:, 3:].copy())
+        self._pose_covariances.append(np.stack([result.pose_covariance[:3, :3], result.pose_covariance[3:, 3:]]))
+        self._rotations.append(result.T_odom_imu[:3, :3].copy())
         if self._writer is None:
             self._stages = tuple(result.timings)
             self._writer = CsvWriter(self.path, self._columns())
@@ -166,15 +169,16 @@ class ScanLog:
         if self._writer is not None:
             self._writer.close()
 
-    def table(self, final: FinalPoses) -> ScanTable:
-        """Return the rows so far in the map frame, where ``final`` puts the scans."""
+    def table(self, final: FinalPoses, level: Level | None = None) -> ScanTable:
+        """Return the rows so far in the map frame, where ``final`` puts the scans; ``level`` adds to their sigmas."""
+        level = level if level is not None else Level()
         floats = np.array(self._floats).reshape(-1, len(FLOATS))
         integers = np.array(self._integers, dtype=np.int64).reshape(-1, len(INTEGERS))
         T_map_odom = final.rigid
         if T_map_odom is None:
             T_map_odom = final.T_map_odom(integers[:, INTEGERS.index("end_ns")])
-        if not np.array_equal(T_map_odom, np.eye(4)):
-            floats = self._moved(floats, T_map_odom)
+        if level.known or not np.array_equal(T_map_odom, np.eye(4)):
+            floats = self._moved(floats, T_map_odom, level)
         stages = tuple(dict.fromkeys(stage for timings in self._timings for stage in timings))
         milliseconds = {stage: np.array([timings.get(stage, 0.0) for timings in self._timings]) for stage in stages}
         return ScanTable(integers, floats, list(self._statuses), milliseconds)
@@ -204,8 +208,12 @@ class ScanLog:
         total = round(sum(timings.values()), 4)
         return [*integers, self._statuses[number], *_shortened(floats), total, *stages, *more]
 
-    def _moved(self, floats: NDArray[np.float64], T_map_odom: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the rows with their vectors moved by one (4, 4) for all, or by one a row (N, 4, 4)."""
+    def _moved(self, floats: NDArray[np.float64], T_map_odom: NDArray[np.float64], level: Level) -> NDArray[np.float64]:
+        """Return the rows with their vectors moved by one (4, 4) for all, or by one a row (N, 4, 4), and their sigmas.
+
+        What is not known of the level is an error of the map's pose against the earth; rows in the odom frame, whose
+        first pose defines it, have none of it.
+        """
         R_map_odom = T_map_odom[..., :3, :3]
         R_odom_map = R_map_odom.swapaxes(-1, -2)
         floats = floats.copy()
@@ -214,9 +222,13 @@ class ScanLog:
             vectors = floats[:, first : first + 3]
             turned = vectors @ R_odom_map if R_odom_map.ndim == 2 else (vectors[:, None] @ R_odom_map)[:, 0]
             floats[:, first : first + 3] = turned + T_map_odom[..., :3, 3] if name == "position" else turned
-        covariances = R_map_odom @ np.array(self._position_covariances).reshape(-1, 3, 3) @ R_odom_map
-        first = FLOATS.index("sigma_position_x")
-        floats[:, first : first + 3] = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
+        of_rotation, of_position = np.array(self._pose_covariances).reshape(-1, 2, 3, 3).swapaxes(0, 1)
+        p_odom = np.array(self._floats).reshape(-1, len(FLOATS))[:, FLOATS.index("position_x") :][:, :3]
+        of_rotation = of_rotation + level.of_rotations(np.array(self._rotations).reshape(-1, 3, 3))
+        of_position = R_map_odom @ (of_position + level.of_positions(p_odom)) @ R_odom_map
+        for name, covariances in (("sigma_rotation_x", of_rotation), ("sigma_position_x", of_position)):
+            first = FLOATS.index(name)
+            floats[:, first : first + 3] = np.sqrt(np.maximum(np.diagonal(covariances, axis1=1, axis2=2), 0.0))
         return floats
 
     def _rewrite(self, floats: NDArray[np.float64]) -> None:

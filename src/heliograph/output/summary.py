@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
 from heliograph.data import Event, GraphAccount, ScanResult, StartAccount
+from heliograph.data.error_layout import GRAVITY
 from heliograph.output.blind_spans import BlindSpan, BlindSpans
 from heliograph.output.final_poses import FinalPoses
+from heliograph.output.level import Level
 
 __all__ = ["RunSummary", "Tally", "fold_events", "judge"]
 
@@ -71,6 +73,8 @@ class RunSummary:
         odom frame. None where nothing was moved.
     graph : GraphAccount or None
         What the back-end made of the run; None where there was none.
+    level : Level
+        How well it is known which way is up, at the end and so for the whole run.
     start : StartAccount or None
         How the odometry began; None where it does not tell.
     failure : str
@@ -97,6 +101,7 @@ class RunSummary:
     T_map_odom: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     final_poses: FinalPoses | None = None
     graph: GraphAccount | None = None
+    level: Level = field(default_factory=Level)
     start: StartAccount | None = None
     failure: str = ""
 
@@ -210,6 +215,8 @@ class Tally:
         self._span = (0, 0)
         self._start = np.zeros(3)
         self._last = np.zeros(3)
+        self._reach = 0.0
+        self._gravity = (np.zeros(3), np.zeros((2, 2)))
 
     def add(self, result: ScanResult) -> None:
         """Count one result."""
@@ -218,6 +225,8 @@ class Tally:
             self._start, self._last, self._span = position, position, (result.end_ns, result.end_ns)
         self.distance += float(np.linalg.norm(position - self._last))
         self._last, self._span = position, (self._span[0], result.end_ns)
+        self._reach = max(self._reach, float(np.hypot(*(position - self._start)[:2])))
+        self._gravity = (result.g_odom, result.covariance[GRAVITY, GRAVITY].copy())
         self.scans += 1
         self.statuses[result.status] = self.statuses.get(result.status, 0) + 1
         for stage, ms in result.timings.items():
@@ -248,6 +257,7 @@ class Tally:
             distance=self.distance,
             duration=(self._span[1] - self._span[0]) * 1e-9,
             start_end_gap=float(np.linalg.norm(self._last - self._start)),
+            level=Level.of_gravity(*self._gravity, self._reach),
             weakest_eigenvalue=self.weakest[0],
             weakest_direction=self.weakest[1],
             weakest_index=self.weakest[2],

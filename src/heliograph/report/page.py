@@ -86,6 +86,7 @@ def header(record: RunRecord) -> str:
         ("duration", f"{summary.duration:.1f}", "s"),
         ("scans", f"{summary.scans}", ""),
         ("start-end gap", f"{summary.start_end_gap:.3f}", "m"),
+        *([("level known to", f"{np.degrees(summary.level.sigma):.2g}", "deg")] if summary.level.known else []),
         ("a scan", f"{summary.ms_per_scan:.1f}", "ms"),
         ("sensors", " + ".join({"lidar": "LiDAR", "imu": "IMU"}[name] for name in summary.sensors), ""),
     ]
@@ -177,6 +178,8 @@ def tables(record: RunRecord) -> str:
     summary = record.summary
     verdicts = ", ".join(f"{count} {name}" for name, count in summary.statuses.items())
     facts: list[tuple[str, ...]] = [("scans by verdict", verdicts)]
+    if summary.level.known:
+        facts.append(("level", summary.level.sentence()))
     facts += [(str(key), _short(value)) for key, value in record.facts.get("recording", {}).items()]
     facts += [(str(key), str(value)) for key, value in record.facts.get("versions", {}).items()]
     remarks = [event for event in summary.events if event.severity == "info"]

@@ -230,49 +230,6 @@ def long_tunnel(rng: np.random.Generator) -> Place:
     return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=1.0, closed=False))
 
 
-def _relief(rng: np.random.Generator) -> Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
-    """Return the height of gently rolling ground: waves of 20 m to 70 m length, 0.3 m high."""
-    length, heading, phase = rng.uniform(20.0, 70.0, 6), rng.uniform(0.0, np.pi, 6), rng.uniform(0.0, 2.0 * np.pi, 6)
-    k = 2.0 * np.pi / length
-
-    def height(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-        along = np.multiply.outer(x, k * np.cos(heading)) + np.multiply.outer(y, k * np.sin(heading))
-        return np.asarray(0.12 * np.sin(along + phase).sum(axis=-1))
-
-    return height
-
-
-def _field(rng: np.random.Generator, poles: int) -> Place:
-    """Return rolling ground of facets, with poles far around, and a figure of eight of about 100 m on it."""
-    height, facet, step = _relief(rng), 2.0, 0.05
-    primitives = []
-    for x in np.arange(-110.0, 110.0, facet):
-        for y in np.arange(-110.0, 110.0, facet):
-            z = float(height(np.array(x), np.array(y)))
-            slope_x = (float(height(np.array(x + step), np.array(y))) - z) / step
-            slope_y = (float(height(np.array(x), np.array(y + step))) - z) / step
-            tilt = so3.from_two_vectors(np.array([0.0, 0.0, 1.0]), np.array([-slope_x, -slope_y, 1.0]))
-            primitives.append(rectangle((x, y, z), (1.02 * facet, 1.02 * facet), tilt, _GRASS))
-    for angle in np.arange(poles) * 2.0 * np.pi / max(poles, 1) + rng.uniform(0.0, 0.5):
-        far = rng.uniform(35.0, 60.0)
-        x, y = far * np.cos(angle), far * np.sin(angle)
-        primitives.append(cylinder((x, y, 3.0), 0.15, 7.0, None, _WOOD))
-    eight = [(0.0, 0.0), (12.0, 9.0), (24.0, 0.0), (12.0, -9.0), (0.0, 0.0), (-12.0, 9.0), (-24.0, 0.0), (-12.0, -9.0)]
-    corners = [(6.0, 4.5), *eight[1:4], *eight[5:8]]
-    waypoints = np.array([(x, y, 1.4) for x, y in corners])
-    return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=4.0))
-
-
-def field(rng: np.random.Generator) -> Place:
-    """Return an open field of rolling grass with eight poles far away."""
-    return _field(rng, poles=8)
-
-
-def bare_field(rng: np.random.Generator) -> Place:
-    """Return an open field of rolling grass and nothing else."""
-    return _field(rng, poles=0)
-
-
 def street(rng: np.random.Generator) -> Place:
     """Return a street of 280 m between houses, with parked cars, poles and trees, that ends in a wide bend."""
     primitives = [rectangle((140.0, 20.0, 0.0), (460.0, 260.0), _LEVEL, _ASPHALT)]
@@ -306,16 +263,74 @@ def campus(rng: np.random.Generator) -> Place:
 def storeys(rng: np.random.Generator) -> Place:
     """Return a building of two equal storeys with three equal corridors each."""
     return Place(world=SimulatedWorld(storeys_world(rng)), course=storeys_course())
+def _relief(rng: np.random.Generator) -> Callable[[ArrayLike, ArrayLike], NDArray[np.float64]]:
+    """Return the height of rolling ground over x and y: waves of 20 to 70 m, 0.25 to 0.4 m from trough to crest."""
+    waves = 5
+    length, heading, phase = (
+        rng.uniform(20.0, 70.0, waves),
+        rng.uniform(0.0, np.pi, waves),
+        rng.uniform(0.0, 7.0, waves),
+    )
+    k = 2.0 * np.pi / length * np.array([np.cos(heading), np.sin(heading)])
+    height = rng.uniform(0.25, 0.4) / (2.0 * np.sqrt(waves))
+
+    def at(x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+        return np.asarray(height * np.sin(np.multiply.outer(x, k[0]) + np.multiply.outer(y, k[1]) + phase).sum(axis=-1))
+
+    return at
+
+
+def _open_ground(rng: np.random.Generator, poles: int) -> Place:
+    """Return rolling ground of 150 m a side, in facets of 2.5 m, with poles far off; the way is a loop of 98 m."""
+    relief, edge, half = _relief(rng), 2.5, 75.0
+    primitives = []
+    for x in np.arange(-half + edge / 2.0, half, edge):
+        for y in np.arange(-half + edge / 2.0, half, edge):
+            slopes = [relief(x + dx, y + dy) - relief(x - dx, y - dy) for dx, dy in ((edge / 2, 0.0), (0.0, edge / 2))]
+            R = so3.from_two_vectors(np.array([0.0, 0.0, 1.0]), np.array([*(-np.array(slopes) / edge), 1.0]))
+            # A little larger than its place, so that no ray slips through a seam.
+            primitives.append(rectangle((x, y, float(relief(x, y))), (1.01 * edge, 1.01 * edge), R, _GRASS))
+    for angle in rng.uniform(0.0, 2.0 * np.pi, poles):
+        x, y = rng.uniform(35.0, 60.0) * np.array([np.cos(angle), np.sin(angle)])
+        primitives.append(cylinder((x, y, float(relief(x, y)) + 2.0), 0.12, 5.0, None, _STEEL))
+    corners = np.array([(0.0, -7.5), (17.0, -7.5), (17.0, 7.5), (-17.0, 7.5), (-17.0, -7.5)])
+    waypoints = np.column_stack([corners, relief(*corners.T) + 1.2])
+    return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=4.0))
+
+
+def open_field(rng: np.random.Generator) -> Place:
+    """Return rolling ground with eight poles 35 to 60 m away: next to nothing tells where one is along the ground."""
+    return _open_ground(rng, 8)
+
+
+def bare_field(rng: np.random.Generator) -> Place:
+    """Return rolling ground with nothing on it."""
+    return _open_ground(rng, 0)
+
+
+def level_street(rng: np.random.Generator) -> Place:
+    """Return the street with a level way of 60 m straight on, on which a tilt cannot be told from a bias."""
+    waypoints = np.array([(0.0, 0.0, 1.2), (60.0, 0.0, 1.2)])
+    return Place(world=street(rng).world, course=Course(waypoints=waypoints, corner=1.0, closed=False))
+
+
+def level_aisles(rng: np.random.Generator) -> Place:
+    """Return the warehouse with a level way of 52 m that turns three times."""
+    waypoints = np.array([(5.0, 6.0, 0.9), (20.0, 6.0, 0.9), (20.0, 18.0, 0.9), (4.0, 18.0, 0.9), (4.0, 8.0, 0.9)])
+    return Place(world=warehouse(rng).world, course=Course(waypoints=waypoints, corner=1.6, closed=False))
 
 
 PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(
     {
         "aisles": aisles,
         "campus": campus,
-        "bare_field": bare_field,
-        "field": field,
         "level_room": level_room,
         "long_tunnel": long_tunnel,
+        "bare_field": bare_field,
+        "level_aisles": level_aisles,
+        "level_room": level_room,
+        "level_street": level_street,
+        "open_field": open_field,
         "room": room,
         "storeys": storeys,
         "street": street,

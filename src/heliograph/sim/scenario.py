@@ -155,6 +155,7 @@ def _registry() -> dict[str, Scenario]:
     short = Walk(speed=0.6, rest=1.5, ramp=1.5, duration=24.0)
     waved = Gait(frequency=1.1, bounce=0.08, lateral=0.10, roll_deg=18.0, pitch_deg=14.0, yaw_deg=22.0)
     slalom = Gait(frequency=1.0, bounce=0.0, lateral=0.12, roll_deg=0.0, pitch_deg=0.0, yaw_deg=25.0)
+    usual = ImuModel(accel_bias=0.075)
     handheld = Gait(frequency=1.9, bounce=0.015, lateral=0.02, roll_deg=4.0, pitch_deg=3.0, yaw_deg=8.0)
     return {
         "warehouse": warehouse,
@@ -183,20 +184,24 @@ def _registry() -> dict[str, Scenario]:
             gnss=GnssModel(rate=0.0),
         ),
         **{scenario.name: scenario for scenario in _weakly_seen()},
+        "field": Scenario(name="field", place="open_field").thinned(beams=32, columns=512),
+        "bare-field": Scenario(name="bare-field", place="bare_field").thinned(beams=32, columns=512),
+        "level-straight": Scenario(
+            name="level-straight", place="level_street", walk=Walk(duration=38.0), imu=usual
+        ).thinned(beams=32, columns=512),
+        "level-turns": Scenario(name="level-turns", place="level_aisles", imu=usual).thinned(beams=32, columns=512),
         **{scenario.name: scenario for scenario in _moving_starts()},
     }
 
 
 def _weakly_seen() -> Iterator[Scenario]:
-    """Yield recordings of which one direction is seen poorly, or not at all for a while."""
+    """Yield recordings of which one direction is not seen at all for a while."""
     car = Gait(frequency=1.3, bounce=0.01, lateral=0.01, roll_deg=0.6, pitch_deg=0.5, yaw_deg=0.6)
     sparse = LidarModel(beams=32, columns=512, max_range=90.0)
     drive = Walk(speed=3.0, rest=3.0, ramp=3.0)
     yield Scenario(
         name="long-tunnel", place="long_tunnel", walk=drive, gait=car, lidar=sparse, gnss=GnssModel(rate=0.0)
     )
-    for name, place in (("field", "field"), ("bare-field", "bare_field")):
-        yield Scenario(name=name, place=place, walk=Walk(rest=3.0), lidar=sparse)
 
 
 def _moving_starts() -> Iterator[Scenario]:

@@ -113,7 +113,9 @@ def test_run_folder_levels_poses_map_and_table_alike(tmp_path):
         row = next(csv.DictReader(file))
     direction = [float(row[f"weak_direction_{axis}"]) for axis in "xyz"]
     np.testing.assert_allclose(direction, T[:3, :3] @ [1, 0, 0], atol=1e-6)
-    variance = T[:3, :3] @ np.diag(np.arange(4.0, 7.0) ** 2 * 1e-6) @ T[:3, :3].T
+    # The first scan is 0.1 m along x, where the tilt about y lifts and lowers it: it is that of gravity along x.
+    variance = np.diag(np.arange(4.0, 7.0) ** 2 * 1e-6) + np.diag([0.0, 0.0, (0.1 * 16e-3) ** 2])
+    variance = T[:3, :3] @ variance @ T[:3, :3].T
     sigma = [float(row[f"sigma_position_{axis}"]) for axis in "xyz"]
     np.testing.assert_allclose(sigma, np.sqrt(np.diag(variance)), rtol=1e-6)
 

@@ -64,6 +64,7 @@ class FilterCore:
             local_map if local_map is not None else VoxelMap(config.map), config.filter, start.p_odom
         )
         self._matcher = ScanMatcher(config, threads=threads)
+        self._deskews = config.cloud.deskew != "off"
         self._history: ImuPath | None = None
         self._sweep_noise: Array | None = None
         self._count = 0
@@ -105,7 +106,9 @@ class FilterCore:
         seen = fit.measurement.pose_share() if fit is not None else None
         if fit is not None or self._keeper.empty:
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
-            posterior = self._keeper.extend(points_imu, pose, posterior, seen)  # (9)
+            # What did not settle ties no new ground to the frame; the next scan that does, ties it.
+            tied = seen if fit is not None and (fit.converged or self._motion.inertial) else None
+            posterior = self._keeper.extend(points_imu, pose, posterior, tied)  # (9)
         watch.lap("map")
 
         intensity = _taken(scan.intensity, keep) if scan.intensity is not None else None
@@ -139,7 +142,7 @@ class FilterCore:
         """Update with the picked points; None when too few of them match."""
         if self._keeper.empty or len(points) < self._config.filter.min_matches:
             return None
-        before_end = ((scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)).astype(np.float32)
+        before_end = self._before_end(scan, offsets)
         predicted, terms = self._deskew(points, offsets, scan, path), self._calibration.terms(path)
 
         def points_at(state: NavState) -> NDArray[np.float32]:
@@ -148,10 +151,21 @@ class FilterCore:
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
         fit = self._matcher.match(prior, self.map, points_at, before_end, terms, self._sweep_noise)
-        if fit is not None:
-            self._calibration.learn(fit.measurement)
-            self._keeper.updated(fit.retained)
-        return fit
+        if fit is None:
+            return None
+        self._calibration.learn(fit.measurement)
+        self._keeper.updated(fit.retained)
+        seconds = float(path.stamps_ns[-1] - path.stamps_ns[0]) * 1e-9
+        sweep = float(before_end.max(initial=0.0))
+        state = self._motion.settled(prior, fit.state, converged=fit.converged, seconds=seconds, sweep=sweep)
+        return replace(fit, state=state)
+
+    def _before_end(self, scan: Scan, offsets: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Return how long before the sweep's end each point was carried over by velocity and rate, (N,) [s]."""
+        if not self._deskews:
+            return np.zeros(len(offsets), np.float32)  # nothing is, so a residual tells nothing about either
+        before_end = (scan.end_ns - scan.stamp_ns) * 1e-9 - offsets * np.float64(1e-9)
+        return np.asarray(before_end, dtype=np.float32)
 
     def _settled(self, state: NavState) -> NavState:
         """Begin the map anew where a better mounting has shown it to be bent; its first pose defines its frame."""
@@ -163,7 +177,7 @@ class FilterCore:
     def _deskew(
         self, points: NDArray[np.float32], offsets: NDArray[np.int32], scan: Scan, path: ImuPath
     ) -> NDArray[np.float32]:
-        first = 0 if self._config.cloud.deskew != "off" else len(path.stamps_ns) - 1
+        first = 0 if self._deskews else len(path.stamps_ns) - 1
         return deskew(
             points,
             offsets,

@@ -11,6 +11,7 @@ from heliograph.config import FilterConfig, ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState
 from heliograph.imu import ImuPath, Prediction, predict
 from heliograph.lie import so3
+from heliograph.odometry.filter.unsteadiness import Unsteadiness
 
 __all__ = ["MotionModel", "corrected_path", "rate_change", "sweep_path"]
 
@@ -20,7 +21,7 @@ class MotionModel:
 
     The constant-velocity model is the same filter with an imaginary IMU that always reads zero in a world without
     gravity: its "gyroscope bias" is minus the body rate, and white noise on its "accelerometer" and the random walk of
-    its "bias" let velocity and rate change.
+    its "bias" let velocity and rate change: as much as configured, or as much as the scans have shown.
 
     Parameters
     ----------
@@ -32,6 +33,7 @@ class MotionModel:
     def __init__(self, imu: ImuConfig, filter_config: FilterConfig, noise: ImuNoise | None) -> None:
         self.inertial = noise is not None
         self._config = imu
+        self._unsteadiness = Unsteadiness()
         self._noise = noise or ImuNoise(
             gyro=1e-4,
             accel=filter_config.constant_velocity_accel,
@@ -46,9 +48,34 @@ class MotionModel:
             imu = ImuBatch(stamps_ns=stamps, gyro=np.zeros((2, 3)), accel=np.zeros((2, 3)), received_ns=0)
         elif not state.imu_clock.exact:
             imu = replace(imu, stamps_ns=state.imu_clock.lidar_time(imu.stamps_ns))
-        ahead = predict(state, imu, end_ns, noise=self._noise, config=self._config)
+        noise = self._noise if self.inertial else self._unsteadiness.allowed(self._noise)
+        ahead = predict(state, imu, end_ns, noise=noise, config=self._config)
         # Without an IMU none of its samples is missing, however long the way from scan to scan.
         return ahead if self.inertial else replace(ahead, path=replace(ahead.path, held_s=0.0))
+
+    def settled(
+        self, prior: NavState, posterior: NavState, *, converged: bool, seconds: float, sweep: float
+    ) -> NavState:
+        """Return the state after an update, as sure as the motion within the sweep allows, and learn from it.
+
+        Parameters
+        ----------
+        prior, posterior : NavState
+            Before and after the update.
+        converged : bool
+            Whether it settled. Without an IMU the motion within the sweep is fitted along; an update that still moves
+            when it ends is followed, but nothing is known better by it.
+        seconds : float
+            Since the update before [s].
+        sweep : float
+            Time from a scan's first point to its last [s].
+        """
+        if self.inertial:
+            return posterior
+        if not converged:
+            posterior = replace(posterior, covariance=prior.covariance)
+        self._unsteadiness = self._unsteadiness.updated(prior, posterior, seconds)
+        return self._unsteadiness.bent(posterior, sweep)
 
 
 def rate_change(path: ImuPath) -> NDArray[np.float64]:

@@ -45,6 +45,7 @@ __all__ = [
 
 NO_IMU = ImuBatch(stamps_ns=np.zeros(0, np.int64), gyro=np.zeros((0, 3)), accel=np.zeros((0, 3)), received_ns=0)
 
+_NO_POINTS = np.zeros((0, 3), np.float32)
 # White noise with which the IMU leads the LiDAR: over a scan of 0.1 s a turn of 0.5 deg and 5 cm, well above what a
 # match tells, so that the poses stay the LiDAR's.
 _LOOSE_GYRO, _LOOSE_ACCEL = 0.03, 3.0
@@ -56,6 +57,10 @@ _SETTLED_SPEED = 0.02
 # Scans to try other speeds with, where the LiDAR is blind along its way and matches less than this share of its points.
 _TRIED_SCANS, _BLIND_SHARE = 5, 0.5
 _FAST_SPEED = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
+# A start looks at the same few seconds again and again, for what a tenth of the points shows: points of a scan that are
+# put into its maps, points matched, and one in how many of those without a plane may look for neighbours. The LiDAR
+# alone has nothing else to go by, and gets twice as many as where the IMU leads.
+_ALONE, _LED = (12_000, 2_000, 2), (6_000, 1_000, 8)
 _SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
 
 
@@ -80,8 +85,28 @@ class OpeningMotion:
 
 
 def scans_of(packets: Sequence[Packet]) -> list[Scan]:
-    """Return the scans that hold points."""
-    return [packet.scan for packet in packets if packet.scan is not None and len(packet.scan) > 0]
+    """Return the scans that hold points, each with as many of them as a start needs."""
+    scans = [packet.scan for packet in packets if packet.scan is not None and len(packet.scan) > 0]
+    return _thinned(scans, _ALONE[0])
+
+
+def _thinned(scans: Sequence[Scan], points: int) -> list[Scan]:
+    return [scan.thinned(len(scan) // points) if len(scan) >= 2 * points else scan for scan in scans]
+
+
+def _light(config: RunConfig, matches: int, stride: int) -> RunConfig:
+    """Return the configuration with fewer points to match; they lie farther apart, so fewer of them share a plane."""
+    matches = min(matches, config.cloud.target_points)
+    share = matches / config.cloud.target_points
+    return replace(
+        config,
+        cloud=replace(config.cloud, target_points=matches),
+        filter=replace(
+            config.filter,
+            correlation=max(1.0, share * config.filter.correlation),
+            fallback_stride=max(stride, config.filter.fallback_stride) if config.filter.fallback_stride > 0 else 0,
+        ),
+    )
 
 
 def blank_state(stamp_ns: int, rig: Rig) -> NavState:
@@ -126,14 +151,16 @@ def constant_velocity_state(stamp_ns: int, v: Array, rate: Array, rig: Rig, conf
     return replace(state, v_odom=v, gyro_bias=-rate)
 
 
-def lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: int) -> OpeningMotion | None:
+def lidar_only(
+    packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: int
+) -> tuple[OpeningMotion, list[ScanResult]] | None:
     """Run the constant-velocity filter over the first scans, and again with its first map de-skewed.
 
     Between houses a LiDAR that expects rest sees rest at any speed beyond two metres a scan: the walls along the way
     fit everywhere. What gives that away is that it is blind along the way while most points find nothing; then higher
     speeds are tried, and the one that matches more points is followed.
     """
-    scans = scans_of(packets)
+    scans, config = scans_of(packets), _light(config, *_ALONE[1:])
     if len(scans) < 3:
         return None
 
@@ -157,7 +184,7 @@ def lidar_only(packets: Sequence[Packet], rig: Rig, config: RunConfig, threads: 
         moved = _fit_motion(T, np.array([result.end_ns for result in results], dtype=np.int64), scans[0].stamp_ns)
         if not last:
             results = run(moved.v_imu, moved.rate_imu, len(scans))
-    return moved
+    return moved, results
 
 
 def _share(results: Sequence[ScanResult]) -> float:
@@ -198,11 +225,10 @@ def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> Openin
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Followed:
-    """Poses of the scans that matched, with covariances, and which share of the points did."""
+    """Poses of the scans that matched, with covariances."""
 
     poses: Trajectory
     covariance: Array
-    share: float
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -238,12 +264,15 @@ def find_motion(
         can be matched to say anything.
     """
     scans = scans_of(packets)
+    # Sparse scans cost little as they are, and need what they have.
+    dense = max((len(scan) for scan in scans), default=0) >= 2 * _LED[0]
+    scans, light = (_thinned(scans, _LED[0]), _light(config, *_LED[1:])) if dense else (scans, config)
     if len(scans) < _MIN_POSES:
         return None
     noise = noise_in_motion(imu, config.imu)
 
-    def follow(state: NavState, lead: ImuBatch) -> _Followed:
-        return _follow(scans, state, lead, config, threads)
+    def led(state: NavState, lead: ImuBatch) -> _Led:
+        return _Led(state, lead, light, threads)
 
     def align(followed: _Followed, scale_sigma: float = 0.0) -> MotionStart:
         return align_motion(
@@ -256,18 +285,17 @@ def find_motion(
             scale_sigma=scale_sigma,
         )
 
-    followed = max(
-        (follow(*led) for led in _led_by_gyro(scans[0], imu, rig, moved, config.filter)), key=lambda one: one.share
-    )
+    tried = [led(*lead).follow(scans[:_TRIED_SCANS]) for lead in _led_by_gyro(scans[0], imu, rig, moved, config.filter)]
+    followed = max(tried, key=lambda one: one.share).follow(scans[_TRIED_SCANS:]).poses()
     found: MotionStart | None = None
     for _ in range(_MAX_PASSES):
-        if len(followed.poses) < _MIN_POSES:
+        if followed is None:
             return None
         before, found = found, align(followed)
         if found.verdict == "failed" or (before is not None and _same_velocity(before, found)):
             break
-        followed = follow(*_led_by_imu(scans[0], found, imu, rig))
-    return (found, align(followed, _SCALE_SIGMA)) if found is not None and len(followed.poses) >= _MIN_POSES else None
+        followed = led(*_led_by_imu(scans[0], found, imu, rig)).follow(scans).poses()
+    return (found, align(followed, _SCALE_SIGMA)) if found is not None and followed is not None else None
 
 
 def _same_velocity(before: MotionStart, after: MotionStart) -> bool:
@@ -299,17 +327,43 @@ def _led_by_imu(first: Scan, found: MotionStart, imu: ImuBatch, rig: Rig) -> tup
     ), imu
 
 
-def _follow(scans: Sequence[Scan], state: NavState, imu: ImuBatch, config: RunConfig, threads: int) -> _Followed:
-    """Run a filter over the scans that the samples only lead."""
-    noise = ImuNoise(gyro=_LOOSE_GYRO, accel=_LOOSE_ACCEL, gyro_walk=0.0, accel_walk=0.0)
-    core = FilterCore(state, MotionModel(config.imu, config.filter, noise), config, threads=threads)
-    results = [core.process(scan, imu) for scan in scans]
-    kept: list[ScanResult] = [result for result in results if result.matched]
-    return _Followed(
-        poses=Trajectory(
-            stamps_ns=np.array([result.end_ns for result in kept], dtype=np.int64),
-            T_frame_body=np.stack([result.T_odom_imu for result in kept]),
-        ),
-        covariance=np.stack([result.covariance[POSE, POSE] for result in kept]),
-        share=_share(results),
-    )
+class _Led:
+    """A filter over scans that the samples only lead.
+
+    Parameters
+    ----------
+    state : NavState
+        At the first scan's start.
+    imu : ImuBatch
+    config : RunConfig
+    threads : int
+    """
+
+    def __init__(self, state: NavState, imu: ImuBatch, config: RunConfig, threads: int) -> None:
+        noise = ImuNoise(gyro=_LOOSE_GYRO, accel=_LOOSE_ACCEL, gyro_walk=0.0, accel_walk=0.0)
+        self._core = FilterCore(state, MotionModel(config.imu, config.filter, noise), config, threads=threads)
+        self._imu = imu
+        self._results: list[ScanResult] = []
+
+    @property
+    def share(self) -> float:
+        """Share of the points that matched."""
+        return _share(self._results)
+
+    def follow(self, scans: Sequence[Scan]) -> _Led:
+        """Go on over more scans; return itself."""
+        self._results += [replace(self._core.process(scan, self._imu), points_imu=_NO_POINTS) for scan in scans]
+        return self
+
+    def poses(self) -> _Followed | None:
+        """Return the poses of the scans that matched, None where they are too few to say anything."""
+        kept = [result for result in self._results if result.matched]
+        if len(kept) < _MIN_POSES:
+            return None
+        return _Followed(
+            poses=Trajectory(
+                stamps_ns=np.array([result.end_ns for result in kept], dtype=np.int64),
+                T_frame_body=np.stack([result.T_odom_imu for result in kept]),
+            ),
+            covariance=np.stack([result.covariance[POSE, POSE] for result in kept]),
+        )

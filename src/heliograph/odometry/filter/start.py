@@ -36,6 +36,7 @@ from heliograph.odometry.filter.opening import (
     with_block,
     with_sigma,
 )
+from heliograph.odometry.filter.rest import rest_explains
 from heliograph.odometry.sequencer import Packet
 
 __all__ = ["FilterStart", "FirstLook", "find_start", "look"]
@@ -97,14 +98,19 @@ def look(packets: Sequence[Packet], imu: ImuBatch, rig: Rig, config: RunConfig, 
 
     The IMU says whether it rests; because a vehicle at constant speed looks just like that, and a slow steady turn like
     a bias, the LiDAR alone is run over the same scans and must agree. An IMU that vibrates, on an idling engine, or
-    shows a very large bias, needs that consent.
+    shows a very large bias, needs that consent. Where nothing faces a direction the LiDAR alone slides along it: a
+    motion that explains the scans no better than rest does not contradict a calm IMU.
     """
-    moved, scans = lidar_only(packets, rig, config, threads), len(scans_of(packets))
+    alone, scans = lidar_only(packets, rig, config, threads), scans_of(packets)
+    moved = alone[0] if alone is not None else None
     if len(imu) < 2:
-        return FirstLook(rest=None, moved=moved, still=False, scans=scans)
+        return FirstLook(rest=None, moved=moved, still=False, scans=len(scans))
     rest = assess_stillness(imu, config.imu)
-    agreed = _lidar_rests(moved, config) if moved is not None else not rest.doubtful
-    return FirstLook(rest=rest, moved=moved, still=rest.still and agreed, scans=scans)
+    agreed = not rest.doubtful
+    if rest.still and alone is not None:
+        # A steady turn that looks like a very large bias is no calm: that takes a LiDAR that sees rest.
+        agreed = _lidar_rests(alone[0], config) or (not rest.biased and rest_explains(scans, alone[1], config))
+    return FirstLook(rest=rest, moved=moved, still=rest.still and agreed, scans=len(scans))
 
 
 def _lidar_rests(moved: OpeningMotion, config: RunConfig) -> bool:

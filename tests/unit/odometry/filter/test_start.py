@@ -10,6 +10,8 @@ from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, Rig, Scan
 from heliograph.lie import s2, so3
 from heliograph.odometry.filter.error_state import local
+from heliograph.odometry.filter.opening import lidar_only, scans_of
+from heliograph.odometry.filter.rest import rest_explains
 from heliograph.odometry.filter.start import _aligned_state, find_start, look
 from heliograph.odometry.sequencer import Packet
 from heliograph.sim import SCENARIOS, simulate
@@ -162,6 +164,30 @@ def test_rest_agrees_with_the_lidar():
     start, _ = start_in({"duration": 1.3}, {})
     assert start.events == ()
     assert np.linalg.norm(start.state.v_odom) == 0.0
+
+
+@pytest.mark.parametrize(("name", "seed"), [("bare-field", 1), ("bare-field", 4), ("field", 2), ("field", 4)])
+def test_rest_on_open_ground_is_rest_although_the_lidar_alone_slides(name, seed):
+    simulation, packets, imu = packets_and_imu(SCENARIOS[name].thinned(duration=1.3), seed)
+    first = look(packets, imu, simulation.rig, CONFIG, threads=1)
+    assert first.still
+    start = find_start(packets, imu, simulation.rig, CONFIG, threads=1, first=first)
+    assert start.account.kind == "static"
+    assert start.events == ()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_motion_that_the_lidar_sees_wins_over_rest_and_rest_over_a_slide(seed):
+    for name, walk, moves in (
+        ("start-constant", {"speed": 0.15, "begin": 60.0, "duration": 1.3}, True),
+        ("start-turning", {"speed": 0.08, "begin": 160.0, "duration": 1.3}, True),
+        ("tunnel", {"speed": 5.0, "begin": 8.0, "duration": 1.3}, False),  # blind along its way: nobody can tell
+        ("room", {"begin": 0.0, "duration": 1.3}, False),
+    ):
+        scenario = SCENARIOS[name].thinned(beams=16, columns=256).varied(walk=walk, gait=NO_GAIT)
+        simulation, packets, _ = packets_and_imu(scenario, seed)
+        _, results = lidar_only(packets, simulation.rig, CONFIG, 1)
+        assert rest_explains(scans_of(packets), results, CONFIG) is not moves
 
 
 def test_start_without_imu_warns_and_knows_no_gravity():
