@@ -83,7 +83,9 @@ def run(
                 slam.add(results)
             account.add(results)
         account.tally.add_events((*unsolved(recording.events, found), *odometry.events, *slam.events))
-        summary = account.conclude(sensors, odometry, slam, config)  # 6. how good is it, and where has it been after all
+        summary = account.conclude(
+            sensors, odometry, slam, config
+        )  # 6. how good is it, and where has it been after all
     account.close(summary)  # 7. every sink ends with what it has; a failure goes on from here
     return summary
 

@@ -263,6 +263,8 @@ def campus(rng: np.random.Generator) -> Place:
 def storeys(rng: np.random.Generator) -> Place:
     """Return a building of two equal storeys with three equal corridors each."""
     return Place(world=SimulatedWorld(storeys_world(rng)), course=storeys_course())
+
+
 def _relief(rng: np.random.Generator) -> Callable[[ArrayLike, ArrayLike], NDArray[np.float64]]:
     """Return the height of rolling ground over x and y: waves of 20 to 70 m, 0.25 to 0.4 m from trough to crest."""
     waves = 5
@@ -328,7 +330,6 @@ PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingP
         "long_tunnel": long_tunnel,
         "bare_field": bare_field,
         "level_aisles": level_aisles,
-        "level_room": level_room,
         "level_street": level_street,
         "open_field": open_field,
         "room": room,
