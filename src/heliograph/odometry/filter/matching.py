@@ -23,6 +23,7 @@ from heliograph.registration import MatchSettings, NormalEquations, linearize, t
 
 __all__ = ["AdaptiveNoise", "ScanMatcher", "Thinning", "register", "sweep_noise"]
 
+_UNTOLD = 30.0  # matches that count as one where the map does not tell how well it knows its normals
 _OPENING_SIGMAS = 2.0  # of the predicted position, that the first kernel's scale spans
 _VAGUE_RATIO = 3.0  # first by final kernel scale, beyond which a prediction is vague
 _NOISE_GAIN, _SHARE_GAIN = 0.1, 0.1  # weights of the latest scan in the running means of noise and matched share
@@ -178,7 +179,8 @@ def register(
         measurement = measurement.only_true(true_share(sums))
         if terms.rate_change is not None:
             measurement = measurement.with_clock(terms.rate_change)
-        measurement = measurement.scaled(1.0 / config.correlation)
+        shared = config.correlation if sums.feigned_square > 0.0 else max(config.correlation, _UNTOLD)
+        measurement = measurement.scaled(1.0 / shared)
         return measurement if sweep_noise is None or not terms.motion else measurement.blurred(sweep_noise)
 
     return iterated_update(
