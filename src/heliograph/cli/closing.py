@@ -43,7 +43,7 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
         )
     if "graph" in facts:
         lines.append(_graph_line(facts["graph"]))
-    for span in facts["blind_spans"][:3]:
+    for span in facts.get("blind_spans", [])[:3]:
         lines.append(
             f"blind for {span['distance_m']:.0f} m at scans {span['scans'][0]} to {span['scans'][1]}: one-sigma along "
             f"it {span['sigma_before_m']:.3f} m before, {span['sigma_after_m']:.3f} m after"

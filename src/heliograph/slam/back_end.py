@@ -66,7 +66,7 @@ class BackEnd:
     """
 
     def __init__(self, config: RunConfig, store: KeyframeStore, *, ledger: Ledger | None = None) -> None:
-        self._config, self._store = config, store
+        self._config, self.store = config, store
         self._smoother, self._steps = ISAM2(), FactorGraph()
         self.chain = OdometryChain()
         self.ledger = ledger if ledger is not None else Ledger(config.loops)
@@ -95,7 +95,7 @@ class BackEnd:
 
     def add(self, keyframe: Keyframe) -> GraphUpdate:
         """Take the next keyframe into the graph."""
-        self._store.append(keyframe)  # (1) it is on disk before anything leans on it
+        self.store.append(keyframe)  # (1) it is on disk before anything leans on it
         self.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
         graph, values = self._step(keyframe)  # (2) where it starts, (3) what odometry and IMU say of the step
         self._smoother.update(graph, values)  # (4)

@@ -27,7 +27,7 @@ def write_graph_files(folder: Path, back_end: BackEnd) -> tuple[str, ...]:
     write_ledger(folder / "loops.csv", back_end.ledger)
     write_g2o(folder / "graph.g2o", pose_graph_of(*_poses_and_steps(back_end)))
     save_graph(folder / "graph.npz", *back_end.graph())
-    return GRAPH_FILES
+    return (*GRAPH_FILES, back_end.store.path.name)
 
 
 def _poses_and_steps(back_end: BackEnd) -> tuple[FactorGraph, Values]:

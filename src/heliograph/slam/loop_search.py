@@ -25,7 +25,7 @@ _DESCRIBED = 2  # every second keyframe has a descriptor: its neighbours look li
 _CATCH_UP = 4  # descriptors made at one keyframe, so that none has to wait for hundreds
 _TURNED_APART = 30.0  # distance that counts as much as being turned by 120 degrees [m]: the field of view may be narrow
 _TRIED = 3  # such places
-_MOST_POINTS = 30_000  # of a local map that is described
+_MAX_POINTS = 30_000  # of a local map that is described
 _ANCHOR = 5  # of places known so well every fifth keyframe is matched with: neighbours share its local map
 
 
@@ -202,7 +202,7 @@ class LoopSearch:
     def _level(self, index: int) -> Points:
         first = max(0, index - self._config.before)
         points = local_map(self._clouds, index, range(first, index + 1))
-        return level_points(points[:: 1 + len(points) // _MOST_POINTS], self._chain.pose(index))
+        return level_points(points[:: 1 + len(points) // _MAX_POINTS], self._chain.pose(index))
 
     def _by_graph(self, query: int, match: int, T_map_imu: Array) -> LoopStart:
         T = np.ascontiguousarray(se3.inverse(T_map_imu[match]) @ T_map_imu[query])

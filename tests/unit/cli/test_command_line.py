@@ -20,6 +20,7 @@ from heliograph.sim.write import write_recording
 
 FILES = {
     "trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum", "map.ply", "map.png", "scans.csv", "run.json",
+    "keyframes", "loops.csv", "graph.g2o", "graph.npz",
     "config.toml", "report.html",
 }  # fmt: skip
 
@@ -41,11 +42,12 @@ def test_run_writes_the_contract_files_into_the_default_folder(call, recording, 
     assert code == 0
     folder = tmp_path / "room_heliograph"
     assert {path.name for path in folder.iterdir()} == FILES
-    last = out.splitlines()[-7:]
+    last = out.splitlines()[-8:]
     assert last[0].startswith("distance ") and "start-end gap" in last[0]
     assert "ms a scan" in last[1] and last[2].startswith("level known to") and " deg: +- " in last[2]
     assert last[3].startswith("worst weak direction")
-    assert all(name in last[4] for name in FILES) and last[6] == "status: ok"
+    assert "keyframes; no loop closed" in last[4]
+    assert all(name in last[5] for name in FILES) and last[7] == "status: ok"
     rows = read_tum(folder / "trajectory.tum")
     assert len(rows) == json.loads((folder / "run.json").read_text())["scans"]
 

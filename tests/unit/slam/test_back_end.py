@@ -25,7 +25,7 @@ def walk():
 def closed(walk, tmp_path_factory):
     back_end = BackEnd(config(), KeyframeStore.create(tmp_path_factory.mktemp("keyframes")))
     updates = [back_end.add(keyframe) for keyframe in walk.keyframes]
-    back_end._store.close()
+    back_end.store.close()
     return back_end, updates
 
 
@@ -81,7 +81,7 @@ def test_without_loops_the_graph_is_the_odometry(walk, tmp_path):
 
 def test_replay_of_the_store_gives_the_same_map(closed):
     back_end, _ = closed
-    again = BackEnd.replayed(config(), back_end._store, back_end.ledger)
+    again = BackEnd.replayed(config(), back_end.store, back_end.ledger)
     np.testing.assert_allclose(again.T_map_imu, back_end.T_map_imu, atol=2e-4)
 
 

@@ -35,7 +35,7 @@ def chain(rng):
         ({"overlap_query": 0.2}, "rejected", "overlap"),
         ({"inliers": 0.5}, "rejected", "fit"),
         ({"blind": ("translation along x",)}, "rejected", "blind"),
-        ({"blur_after": 1.0}, "rejected", "blur"),
+        ({"blur_after": 1.2}, "rejected", "blur"),
         ({"blur_after": 0.5}, "held", "alone"),  # worse than an exact match, better than where odometry has it
         ({"lead": 1.05}, "held", "ambiguous"),
     ],
