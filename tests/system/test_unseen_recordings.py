@@ -59,15 +59,33 @@ def test_handheld_in_a_room_is_followed():
     assert verdict(results) == "ok"
 
 
-def test_tunnel_is_called_degraded_and_its_axis_the_weak_direction():
+def test_tunnel_whose_niches_tell_is_followed_within_its_sigma():
     simulation = simulate(
         SCENARIOS["tunnel"].thinned(beams=16, columns=256, duration=30.0).varied(walk={"rest": 2.0}), 1
     )
     results, _ = run(simulation, simulation.rig)
+    truth = simulation.truth.pose(np.array([result.end_ns for result in results]))
+    T = results[0].T_odom_imu @ np.linalg.inv(truth[0]) @ truth
+    error = np.stack([result.T_odom_imu[:3, 3] for result in results]) - T[:, :3, 3]
+    sigma = np.sqrt(np.stack([np.diag(result.pose_covariance)[3:] for result in results]))
+    assert verdict(results) == "ok" and np.abs(error).max() < 0.04
+    assert np.mean(np.abs(error[50:]) < 3.0 * sigma[50:]) > 0.97
+    along = results[-1].T_odom_imu[:3, 3] / np.linalg.norm(results[-1].T_odom_imu[:3, 3])
+    assert np.median([abs(result.weak_direction @ along) for result in results[100:]]) > 0.99
+
+
+def test_smooth_tunnel_is_called_degraded_in_metres():
+    tunnel = SCENARIOS["long-tunnel"].thinned(beams=16, columns=180, duration=62.0)
+    simulation = simulate(tunnel.varied(lidar={"max_range": 50.0}), 3)
+    results, _ = run(simulation, simulation.rig)
     assert verdict(results) == "degraded"
     blind = [result for result in results if result.status == "degenerate"]
-    along = results[-1].T_odom_imu[:3, 3] / np.linalg.norm(results[-1].T_odom_imu[:3, 3])
-    assert np.median([abs(result.weak_direction @ along) for result in blind]) > 0.99
+    assert len(blind) > 100
+    truth = simulation.truth.pose(np.array([results[0].end_ns, results[-1].end_ns]))
+    T = results[0].T_odom_imu @ np.linalg.inv(truth[0]) @ truth[1]
+    error, P = results[-1].T_odom_imu[:3, 3] - T[:3, 3], results[-1].pose_covariance[3:, 3:]
+    assert error @ np.linalg.solve(P, error) < 16.3  # chi-square of three, 99.9 %
+    assert np.sqrt(np.linalg.eigvalsh(P)[-1]) > 0.1
 
 
 def test_gap_in_a_lidar_alone_is_no_fault_of_an_imu():
