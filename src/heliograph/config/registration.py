@@ -119,12 +119,10 @@ class GlobalAlignConfig:
         Largest distance of a counterpart [m].
     kernel : float
         Residual at which a match counts a quarter as evidence [m].
-    min_overlap : float
-        Share of the smaller overlap that an answer needs.
-    min_fit : float
-        Evidence of the answer's matches that it needs, as a share of the overlap.
-    min_lead : float
-        How many times the evidence of the next pose an answer's must be.
+    cell_deg : float
+        Cell of directions in which a scan is taken to have seen what is between its nearest and farthest return [deg].
+    min_odds : float
+        Odds, by the evidence, that a pose needs.
     """
 
     level: int = 1
@@ -140,16 +138,16 @@ class GlobalAlignConfig:
     same_deg: float = 5.0
     reach: float = 0.5
     kernel: float = 0.1
-    min_overlap: float = 0.36
-    min_fit: float = 0.4
-    min_lead: float = 1.05
+    cell_deg: float = 2.0
+    min_odds: float = 100.0
 
     def __post_init__(self) -> None:
         check_range(self, "radius", "tolerance", "max_angle_deg", "same", "same_deg", "reach", "kernel", above=0.0)
         check_range(self, "level", low=0)
         check_range(self, "keypoints", low=3)
-        check_range(self, "neighbours", "seeds", "hypotheses", "refined", "min_lead", low=1)
-        check_range(self, "min_overlap", "min_fit", low=0.0, high=1.0)
+        check_range(self, "neighbours", "seeds", "hypotheses", "refined", low=1)
+        check_range(self, "min_odds", above=0.0)
+        check_range(self, "cell_deg", low=0.1, high=30.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
