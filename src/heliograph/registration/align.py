@@ -13,7 +13,7 @@ from heliograph.config import AlignConfig, GlobalAlignConfig
 from heliograph.errors import ConfigError, DataError, closest
 from heliograph.lie import se3, so3
 from heliograph.registration.align_globally import GlobalStart, find_start
-from heliograph.registration.align_levels import METHODS, LevelFit, fit_levels, level_matches, refine
+from heliograph.registration.align_levels import METHODS, LevelFit, explored, fit_levels, level_matches, refine
 from heliograph.registration.align_result import AlignResult, ResidualDistribution
 from heliograph.registration.blind_directions import InformationAnalysis, analyse_planes
 from heliograph.registration.surfaces import PreparedCloud, prepare_cloud
@@ -107,6 +107,11 @@ def align_prepared(
     watch.lap("iterate")
     overlaps = _overlaps(target, source, fit.T, threads)
     analysis = _observability(target, source, fit, config, threads)
+    if analysis is not None and analysis.blind:
+        other = explored(target, source, fit, local, analysis.blind_basis(), method, config, threads)
+        seen = None if other is None else _observability(target, source, other, config, threads)
+        if other is not None and seen is not None and len(seen.blind) < len(analysis.blind):
+            fit, analysis, overlaps = other, seen, _overlaps(target, source, other.T, threads)
     if config.remap and analysis is not None and analysis.blind and min(overlaps) >= config.min_overlap:
         fit = _held(target, source, fit, local, analysis, method, config, threads)
         overlaps = _overlaps(target, source, fit.T, threads)
@@ -328,7 +333,10 @@ def checked_pose(start: ArrayLike | None) -> Array:
     """Return a start as a motion (4, 4), or raise `DataError` if it is none."""
     if start is None:
         return np.eye(4)
-    T = np.array(start, dtype=np.float64)
+    try:
+        T = np.array(start, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise DataError("the start is not a matrix of numbers; give T_target_source, 4x4") from None
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise DataError(f"the start is not a finite 4x4 matrix (shape {T.shape}); give T_target_source")
     R = T[:3, :3]

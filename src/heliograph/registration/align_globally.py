@@ -155,8 +155,13 @@ def find_start(
         overlap, confirmed, through = pair.sights(T, coarse, reach)
         return overlap * confirmed**2 * math.exp(-_THROUGH * through)
 
-    ranked = sorted(found, key=lambda h: -promise(h.T))[: settings.refined]
-    scored = sorted((pair.refined(h.T) for h in ranked), key=lambda s: -s.score)
+    scored: list[_Scored] = []
+    for h in sorted(found, key=lambda h: -promise(h.T)):
+        if all(_elsewhere(h.T, s.T, settings) for s in scored):  # else it would only end there again
+            scored.append(pair.refined(h.T))
+        if len(scored) == settings.refined:
+            break
+    scored.sort(key=lambda s: -s.score)
     evidence = _evidence(pair, scored, settings)
     reason = _why_not(evidence, settings)
     return GlobalStart(T=scored[0].T, accepted=not reason, reason=reason, evidence=evidence, tried=len(found))

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from heliograph import _core
 from heliograph.arrays import freeze
 from heliograph.config import AlignConfig
+from heliograph.lie import se3
 from heliograph.registration.remapping import seen_step
 from heliograph.registration.surfaces import PreparedCloud
 
-__all__ = ["METHODS", "LevelFit", "fit_levels", "level_matches", "refine"]
+__all__ = ["METHODS", "LevelFit", "explored", "fit_levels", "level_matches", "refine"]
 
 Array = NDArray[np.float64]
 
@@ -24,6 +25,7 @@ _KEEP = 0.1  # of a cube's edge: a smaller step leaves the partners as they are
 _COARSE = 0.02  # of a cube's edge: a smaller step ends a coarse level
 _LEVER = 10.0  # distance at which a rotation counts as a displacement [m]
 _LOOSE = 1e-9  # of the information's diagonal, added to it: a step exists even where nothing is seen
+_STEP_SIGMAS = 0.1  # a step shorter than this share of its own standard deviation ends a level
 _MIN_KERNEL = 3.0  # of the residuals' spread, the narrowest kernel
 
 
@@ -112,6 +114,40 @@ def refine(
     return _with_iterations(again, fit.iterations + again.iterations)
 
 
+def explored(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    fit: LevelFit,
+    start: Array,
+    blind: Array,
+    method: str,
+    config: AlignConfig,
+    threads: int,
+) -> LevelFit | None:
+    """Return a better fit from starts along what ``fit`` leaves blind (6, K), or None.
+
+    A fit that sees the ground only may be one whose walls found no partner. The starts are up to two of the start's own
+    sigmas away, and are tried on the two widest levels.
+    """
+    top = target.native.levels() - 1
+    if top < 1:
+        return None
+    coarse = range(top, top - 2, -1)
+    sigma = np.concatenate([np.full(3, np.radians(config.start_sigma_deg)), np.full(3, config.start_sigma)])
+    reference = fit_levels(target, source, fit.T, "gicp", config, threads, levels=coarse)
+    best = reference
+    for column in blind.T:
+        unit = column / np.linalg.norm(column / sigma)
+        for steps in (-2.0, -1.0, 1.0, 2.0):
+            there = np.ascontiguousarray(se3.retract(start, steps * unit))
+            some = fit_levels(target, source, there, "gicp", config, threads, levels=coarse)
+            best = some if some.weight > best.weight else best
+    if best is reference:
+        return None
+    again = fit_levels(target, source, best.T, method, config, threads, levels=range(max(top - 2, 0), -1, -1))
+    return _with_iterations(again, fit.iterations + again.iterations) if again.weight > fit.weight else None
+
+
 def _with_iterations(fit: LevelFit, iterations: int) -> LevelFit:
     return LevelFit(
         T=fit.T,
@@ -159,7 +195,8 @@ def _fit(
         keep = since < _KEEP * edge and config.voxel > 0.0
         if level == 0 and k == 2 and kernel > 0.0:
             kernel = float(np.clip(_MIN_KERNEL * np.sqrt(square / weight), 4.0 * config.sigma, kernel))
-        settled = shifted < tolerance and turned < turn
+        # Where nothing is seen a step stays long; one that the matches cannot tell from none ends the level too.
+        settled = (shifted < tolerance and turned < turn) or float(d @ H @ d) < _STEP_SIGMAS**2
         if settled:
             break
     return LevelFit(

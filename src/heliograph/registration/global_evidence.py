@@ -12,6 +12,7 @@ from heliograph.arrays import freeze
 __all__ = ["GlobalEvidence", "log_odds"]
 
 _LEAST = 1e-3
+_LEAD = 0.3  # of a score's logarithm: what leads by more leads
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +58,7 @@ def features(evidence: GlobalEvidence) -> tuple[float, ...]:
         math.log(max(e.fit, _LEAST)),
         math.log(max(e.confirmed, _LEAST)),
         -math.sqrt(e.seen_through),
-        min(math.log(max(e.lead, 1.0)), 1.0),
+        min(math.log(max(e.lead, 1.0)), _LEAD),
         math.log(max(e.weakest, _LEAST)),
     )
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests import scenes
 from tests.reference.features import point_features
+from tests.reference.range_image import sight
 
 from heliograph import _core
 from heliograph.errors import ConfigError
@@ -62,6 +63,22 @@ def test_features_agree_with_the_twin():
     wanted = point_features(np.asarray(mean), np.asarray(axes)[:, 0], 1.5)
     # A share on the edge between two bins may fall into either.
     assert np.quantile(np.abs(found - wanted).max(axis=1), 0.95) < 1.0
+
+
+def test_sight_agrees_with_the_twin():
+    rng = np.random.default_rng(4)
+    target, source = scenes.corner_room(rng, 20), scenes.corner_room(rng, 20)
+    a, b = (_core.SurfaceCloud(cloud, 0.25, 1, 0.05, 6, 1) for cloud in (target, source))
+    to, elements = (np.asarray(c.elements(0)[0]) for c in (a, b))
+    cell = np.radians(5.0)
+    image = _core.RangeImage(target, cell)
+    for off in ([0.0] * 6, [0.0, 0.0, 0.6, 1.2, 0.5, 0.1], [0.3, 0.2, 2.0, -1.0, 0.4, 0.3]):
+        T = se3.exp(off)
+        found = [image.sight(a, b, 0, T, 0.3, threads) for threads in (1, 3)]
+        wanted = sight(target, cell, to, elements, T, 0.3)
+        # A place on the edge between two cells, or exactly as far as asked, may fall to either side.
+        assert found[0] == found[1] and np.abs(np.subtract(found[0], wanted)).max() <= 2
+    assert wanted[2] > 100
 
 
 def test_nearest_features_agree_with_numpy():
