@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.global_pairs import keyframe_pairs, simulated_pairs, write_global_pairs
 from benchmarks.registration_pairs import pose_error
 
-__all__ = ["compare_global", "fit_evidence", "global_section"]
+__all__ = ["compare_global", "global_section"]
 
 GLOBAL_SYSTEMS = (("heliograph", "gicp"), ("kiss_matcher", "0.3"))
 _WORKER = Path(__file__).with_name("global_worker.py")
@@ -43,8 +43,8 @@ def compare_global(
 def _answers(python: Path, system: str, method: str, files: Sequence[Path]) -> list[dict[str, Any]]:
     """Let a system answer every file in a process of its own; nothing where it is not installed."""
     done = subprocess.run(
-        [python, _WORKER, system, method], input="\n".join(map(str, files)), capture_output=True, text=True, check=False,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        [python, _WORKER, system, method], input="\n".join(map(str, files)),
+        capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
     lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
     return [json.loads(line) for line in lines] if len(lines) == len(files) else []
@@ -70,27 +70,6 @@ def _row(name: str, system: str, files: Sequence[Path], answers: Sequence[dict[s
     }  # fmt: skip
 
 
-def fit_evidence(features: np.ndarray, right: np.ndarray, *, ridge: float = 0.1) -> tuple[np.ndarray, float]:
-    """Fit the weights of `heliograph.registration.global_evidence.log_odds` by logistic regression, none below zero.
-
-    Each term speaks for a pose by its making; a negative weight would only be the chance of a set.
-    """
-    from scipy.optimize import minimize
-
-    x = np.hstack([features, np.ones((len(features), 1))])
-    scale = np.append(features.std(axis=0) + 1e-9, 1.0)
-
-    def cost(w: np.ndarray) -> tuple[float, np.ndarray]:
-        z = (x / scale) @ w
-        p = 1.0 / (1.0 + np.exp(-np.clip(z, -50.0, 50.0)))
-        value = float(np.logaddexp(0.0, -np.where(right, z, -z)).sum() + 0.5 * ridge * (w[:-1] @ w[:-1]))
-        return value, (x / scale).T @ (p - right) + ridge * np.append(w[:-1], 0.0)
-
-    bounds = [(0.0, None)] * features.shape[1] + [(None, None)]
-    w = minimize(cost, np.zeros(x.shape[1]), jac=True, bounds=bounds, method="L-BFGS-B").x / scale
-    return w[:-1], float(w[-1])
-
-
 def global_section(rows: list[dict[str, Any]], table: Callable[[Sequence[str], Sequence[Any]], str]) -> str:
     """Return the table with what it counts."""
     head = ["set", "system", "found", "accepted and right", "accepted and wrong", "found > 10 m apart", "cpu ms"]
@@ -106,7 +85,7 @@ def global_section(rows: list[dict[str, Any]], table: Callable[[Sequence[str], S
         + "\nFound: within 0.5 m and 5 degrees, of the pairs of one place with an overlap of 0.3 or more, accepted or "
         "not. Accepted and wrong: of all wrong answers, those to pairs of one world with an overlap under 0.1 and of "
         "different worlds included. The weights of the evidence are fitted to other seeds of the simulated places and "
-        "to other pairs of hku_1; kaist03 had no part in them. Keyframes' truth is another system's pose, refined by our "
-        "own alignment from there. KISS-Matcher 1.0.2 with 0.3 m voxels, refined by small_gicp's GICP; accepted from "
-        "five inliers, the least that its examples ask for.\n"
+        "to other pairs of hku_1; kaist03 had no part in them. Keyframes' truth is another system's pose, refined by "
+        "our own alignment from there. KISS-Matcher 1.0.2 with 0.3 m voxels, refined by small_gicp's GICP; accepted "
+        "from five inliers, the least that its examples ask for.\n"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -83,7 +83,11 @@ def align(
         watch.lap("start")
         if not found.accepted:
             return _refused(source, T_start, found, method, watch)
-    return align_prepared(target, source, T_start, method, config, threads, watch)
+    result = align_prepared(target, source, T_start, method, config, threads, watch)
+    if search_first and result.status in ("degenerate", "not converged"):
+        # A direction that is not seen would keep what the features made of it, which is no guess of anyone's.
+        return replace(result, status="refused", T_target_source=None, covariance=None, information=None)
+    return result
 
 
 def align_prepared(

@@ -14,12 +14,13 @@ from heliograph.config import AlignConfig, GlobalAlignConfig
 from heliograph.lie import se3
 from heliograph.registration.align_levels import METHODS, fit_levels, level_matches, one_sided
 from heliograph.registration.global_alignment import hypotheses
-from heliograph.registration.global_evidence import GlobalEvidence, log_odds
+from heliograph.registration.global_evidence import HELD, GlobalEvidence, log_odds
 from heliograph.registration.surfaces import PreparedCloud
 
 __all__ = ["GlobalStart", "find_start"]
 
 Array = NDArray[np.float64]
+_SLIDES = (-2.25, -1.5, -0.75, 0.75, 1.5, 2.25)  # places that are tried along a translation that little holds [m]
 _THROUGH = 10.0  # a share of this one over of what should be seen, seen through, takes a pose's score to 1/e
 
 
@@ -100,10 +101,9 @@ class _Pair:
         overlap, confirmed = (min(share[k] for share in shares) for k in range(2))
         return overlap, confirmed, max(share[2] for share in shares)
 
-    def refined(self, T: Array) -> _Scored:
+    def refined(self, T: Array, *, top: int = 2) -> _Scored:
         """Align from a hypothesis and look at what comes of it."""
-        top = min(2, self.target.native.levels() - 1)
-        levels = range(top, -1, -1)
+        levels = range(min(top, self.target.native.levels() - 1), -1, -1)
         T = fit_levels(self.target, self.source, T, "gicp", self.config, self.threads, levels=levels).T
         overlap, confirmed, through = self.sights(T, 0, self.settings.reach)
         there = self._weight(self.target, self.source, T)
@@ -118,16 +118,31 @@ class _Pair:
                             self.sided, False, self.threads)  # fmt: skip
         return float(sums[3]) / max(source.native.size(0), 1)
 
-    def weakest(self, T: Array) -> float:
-        """Share of the weight of the plane matches that holds the translation held least."""
+    def weakest(self, T: Array) -> tuple[float, Array]:
+        """Return the share of the plane matches' weight that holds the translation held least, and its axis in the source."""
         level = min(1, self.target.native.levels() - 1)
         rows = level_matches(
             self.target, self.source, T, "point-to-plane", level, self.settings.kernel, self.config, self.threads
         )
         if len(rows) < self.config.min_matches:
-            return 0.0
+            return 0.0, np.array([1.0, 0.0, 0.0])
         n, w = rows[:, 3:6], rows[:, 8]
-        return float(np.linalg.eigvalsh((n * w[:, None]).T @ n)[0] / max(float(w.sum()), 1e-12))
+        values, vectors = np.linalg.eigh((n * w[:, None]).T @ n)
+        return float(values[0] / max(float(w.sum()), 1e-12)), np.asarray(vectors[:, 0])
+
+    def slides(self, best: _Scored) -> list[_Scored]:
+        """Align from places along the translation that the best pose holds least: a bare wall has its like next to it."""
+        share, axis = self.weakest(best.T)
+        if share >= HELD:
+            return []
+        found: list[_Scored] = []
+        for step in _SLIDES:
+            T = best.T.copy()
+            T[:3, 3] += T[:3, :3] @ (step * axis)
+            some = self.refined(T, top=1)
+            if all(_elsewhere(some.T, s.T, self.settings) for s in (best, *found)):
+                found.append(some)
+        return found
 
 
 def find_start(
@@ -161,6 +176,7 @@ def find_start(
             scored.append(pair.refined(h.T))
         if len(scored) == settings.refined:
             break
+    scored += pair.slides(max(scored, key=lambda s: s.score))
     scored.sort(key=lambda s: -s.score)
     evidence = _evidence(pair, scored, settings)
     reason = _why_not(evidence, settings)
@@ -176,7 +192,7 @@ def _evidence(pair: _Pair, scored: list[_Scored], settings: GlobalAlignConfig) -
         confirmed=best.confirmed,
         seen_through=best.seen_through,
         lead=best.score / next_best if next_best > 0.0 else float("inf"),
-        weakest=pair.weakest(best.T),
+        weakest=pair.weakest(best.T)[0],
         elements=min(pair.target.native.size(0), pair.source.native.size(0)),
     )
 

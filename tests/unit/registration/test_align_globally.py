@@ -1,6 +1,7 @@
 """Alignment without a start: poses found from features, and refusals where the evidence does not suffice."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ from tests.reference.features import point_features
 from tests.reference.range_image import sight
 
 from heliograph import _core
+from heliograph.config import GlobalAlignConfig
 from heliograph.errors import ConfigError
 from heliograph.lie import se3, so3
 from heliograph.registration import align
 from heliograph.registration.global_alignment import truncated_pose
+from heliograph.registration.global_evidence import GlobalEvidence, log_odds
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -40,6 +43,25 @@ def test_global_alignment_refuses_another_place():
     ball = np.concatenate([scenes.sphere(rng, 4000, 0.01, centre=(2, 1, 0), radius=r) for r in (1.0, 4.0)])
     result = align(scenes.corner_room(rng), ball.astype(np.float32), start="global")
     assert result.status == "refused" and result.T_target_source is None
+
+
+EVIDENCE = GlobalEvidence(
+    overlap=0.6, fit=0.45, confirmed=0.93, seen_through=0.001, lead=1.5, weakest=0.05, elements=3000
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "worse"),
+    [("overlap", 0.2), ("fit", 0.1), ("confirmed", 0.6), ("seen_through", 0.1), ("lead", 1.0), ("weakest", 0.001)],
+)
+def test_odds_fall_with_each_kind_of_evidence(name, worse):
+    assert log_odds(EVIDENCE) > np.log(GlobalAlignConfig().min_odds)
+    assert log_odds(replace(EVIDENCE, **{name: worse})) < log_odds(EVIDENCE) - 0.5
+
+
+def test_a_pose_that_is_seen_through_is_refused_however_well_it_fits():
+    splendid = replace(EVIDENCE, overlap=0.95, fit=0.9, confirmed=1.0, lead=np.inf, weakest=0.2)
+    assert log_odds(replace(splendid, seen_through=0.15)) < np.log(GlobalAlignConfig().min_odds)
 
 
 def test_start_is_a_pose_or_global():
