@@ -317,10 +317,18 @@ std::vector<IcpMatch> icp_matches(const SurfaceCloud& target, size_t target_leve
   const size_t count = elements.size(), chunks = (count + kChunk - 1) / kChunk;
   std::vector<std::vector<IcpMatch>> partial(chunks);
   parallel_chunks(chunks, threads, [&](size_t chunk) {
-    for (size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
-      double p[3], q[3];
-      apply(pairs.motion, elements[i].mean, p);
-      const uint32_t found = pairs.partner(p, hints.empty() ? kNoNeighbour : hints[i]);
+    const size_t begin = chunk * kChunk, some = std::min(count, begin + kChunk) - begin;
+    double places[3 * kChunk];
+    std::vector<uint32_t> partner(some, kNoNeighbour);
+    if (!hints.empty()) std::copy_n(hints.begin() + static_cast<std::ptrdiff_t>(begin), some, partner.begin());
+    for (size_t k = 0; k < some; ++k) apply(pairs.motion, elements[begin + k].mean, places + 3 * k);
+    pairs.partners(places, some, partner.data());
+    partial[chunk].reserve(some);
+    for (size_t k = 0; k < some; ++k) {
+      const size_t i = begin + k;
+      const double* p = places + 3 * k;
+      double q[3];
+      const uint32_t found = partner[k];
       Term term;
       if (found == kNoNeighbour || !pairs.term(pairs.target.elements[found], elements[i], p, &term)) continue;
       const SurfaceElement& t = pairs.target.elements[found];
