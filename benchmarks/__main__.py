@@ -116,7 +116,7 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
     if "blind" in wanted:
         _write("blind", [*blind.alarms(), *blind.remapping(), *blind.update_cost()])
     if "kd-tree" in wanted:
-        _write("kd_tree", [*kd_tree.measure_trees(work, rival), *kd_tree.drive()])
+        _write("kd_tree", [*kd_tree.measure_trees(work, rival), *kd_tree.drive(), *kd_tree.in_filter()])
 
 
 def main() -> None:

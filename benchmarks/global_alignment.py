@@ -44,7 +44,8 @@ def _answers(python: Path, system: str, method: str, files: Sequence[Path]) -> l
     """Let a system answer every file in a process of its own; nothing where it is not installed."""
     done = subprocess.run(
         [python, _WORKER, system, method], input="\n".join(map(str, files)),
-        capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True, text=True, check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
     lines = [line for line in done.stdout.splitlines() if line.startswith("{")]
     return [json.loads(line) for line in lines] if len(lines) == len(files) else []

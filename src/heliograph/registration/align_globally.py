@@ -119,7 +119,7 @@ class _Pair:
         return float(sums[3]) / max(source.native.size(0), 1)
 
     def weakest(self, T: Array) -> tuple[float, Array]:
-        """Return the share of the plane matches' weight that holds the translation held least, and its axis in the source."""
+        """Return the share of the plane matches' weight that holds the translation held least, and its axis."""
         level = min(1, self.target.native.levels() - 1)
         rows = level_matches(
             self.target, self.source, T, "point-to-plane", level, self.settings.kernel, self.config, self.threads
@@ -131,7 +131,7 @@ class _Pair:
         return float(values[0] / max(float(w.sum()), 1e-12)), np.asarray(vectors[:, 0])
 
     def slides(self, best: _Scored) -> list[_Scored]:
-        """Align from places along the translation that the best pose holds least: a bare wall has its like next to it."""
+        """Align from places along the translation that a pose holds least: a bare wall has its like next to it."""
         share, axis = self.weakest(best.T)
         if share >= HELD:
             return []
