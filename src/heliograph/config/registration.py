@@ -143,7 +143,7 @@ class GlobalAlignConfig:
     reach: float = 0.5
     kernel: float = 0.1
     cell_deg: float = 2.0
-    min_odds: float = 20.0
+    min_odds: float = 11.0
 
     def __post_init__(self) -> None:
         check_range(self, "wide_radius", "wide_tolerance", above=0.0)
