@@ -86,9 +86,9 @@ def global_section(rows: list[dict[str, Any]], table: Callable[[Sequence[str], S
         + "\nFound: within 0.5 m and 5 degrees, of the pairs of one place with an overlap of 0.3 or more, accepted or "
         "not. Accepted and wrong: of all wrong answers, those to pairs of one world with an overlap under 0.1 and of "
         "different worlds included. The weights of the evidence are fitted to other seeds of the simulated places and "
-        "to other pairs of hku_1; kaist03 had no part in them. Slides along bare walls are tried since one of these pairs "
-        "of hku_1 had been accepted 1.5 m along the facade. Of the pairs fitted to, two answers 0.52 and 0.62 m off would "
-        "be accepted, within what their truth allows. Keyframes' truth is another system's pose, refined by "
+        "to other pairs of hku_1; kaist03 had no part in them. Slides along bare walls are tried since one of these "
+        "pairs of hku_1 had been accepted 1.5 m along the facade. Of the pairs fitted to, two answers 0.52 and 0.62 m "
+        "off would be accepted, within what their truth allows. Keyframes' truth is another system's pose, refined by "
         "our own alignment from there. KISS-Matcher 1.0.2 with 0.3 m voxels, refined by small_gicp's GICP; accepted "
         "from five inliers, the least that its examples ask for.\n"
     )
