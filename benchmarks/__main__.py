@@ -12,6 +12,7 @@ from typing import Any
 from benchmarks import (
     blind,
     calibrate,
+    global_alignment,
     graph,
     graph_incremental,
     graph_scale,
@@ -32,7 +33,7 @@ from benchmarks.rivals import ADAPTERS
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
 _GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale", "graph-outliers")
-_CLOUDS = ("registration", "blind", "kd-tree")
+_CLOUDS = ("registration", "global", "blind", "kd-tree")
 _ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "lio", "calibrate", *_CLOUDS, "loops")
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio")
 _RUNS = {
@@ -114,20 +115,23 @@ def _graphs(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
 def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
     """Run the benchmarks of registration, degeneracy, the k-d tree and loops."""
     rival, work = arguments.rival_bin / "python", arguments.work / "clouds"
+
+    def python_of(system: str) -> Path:
+        return Path(sys.executable) if system == "heliograph" else rival
+
     if "registration" in wanted:
-
-        def python_of(system: str) -> Path:
-            return Path(sys.executable) if system == "heliograph" else rival
-
-        rows = registration.compare_pairs(work, python_of, count=200, seed=1)
+        rows = registration.compare_pairs(work, python_of, count=200, seed=97)
         pair = arguments.data.parent / "registration"
         if pair.exists():
             rows += registration.compare_starts(pair, work, python_of, starts=50)
         _write("registration", rows)
+    if "global" in wanted:
+        keyframes = arguments.data.parent / "keyframes"
+        _write("global_alignment", global_alignment.compare_global(keyframes, work, python_of))
     if "blind" in wanted:
         _write("blind", [*blind.alarms(), *blind.remapping(), *blind.update_cost()])
     if "kd-tree" in wanted:
-        _write("kd_tree", [*kd_tree.measure_trees(work, rival), *kd_tree.drive()])
+        _write("kd_tree", [*kd_tree.measure_trees(work, rival), *kd_tree.drive(), *kd_tree.in_filter()])
     if "loops" in wanted:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["loops"]))
         _write("loops", loops.measure_loops(arguments.data.parent / "keyframes", seeds=seeds))

@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from heliograph import _core
-from heliograph.config import KdTreeMapConfig
-from heliograph.maps import KdTreeMap, VoxelMap
+from heliograph.config import KdTreeMapConfig, RunConfig
+from heliograph.lie import se3
+from heliograph.maps import KdTreeMap, LocalMap, VoxelMap
+from heliograph.odometry import FilterOdometry
+from heliograph.sim import SCENARIOS, simulate
 from heliograph.sim.places import PLACES
 from heliograph.sim.sensors import LidarModel
 
-__all__ = ["drive", "kd_tree_section", "measure_trees"]
+__all__ = ["drive", "in_filter", "kd_tree_section", "measure_trees"]
 
 Cloud = NDArray[np.float32]
 _MAP, _ROUNDS, _NEIGHBOURS = 200_000, 7, 5
@@ -157,6 +160,30 @@ def drive(*, metres: int = 2000) -> list[dict[str, Any]]:
     return rows
 
 
+def in_filter(*, seconds: float = 15.0, places: Sequence[str] = ("room", "warehouse")) -> list[dict[str, Any]]:
+    """Run the filter on the same recording with either map: error of the poses, and the time of a scan."""
+    rows = []
+    for place in places:
+        scenario = SCENARIOS[place].thinned(beams=32, columns=256, duration=seconds)
+        simulation = simulate(scenario, seed=1, threads=1)
+        maps: dict[str, Callable[[], LocalMap]] = {"voxel map": VoxelMap, "k-d tree": KdTreeMap}
+        for name, make in maps.items():
+            odometry = FilterOdometry(
+                RunConfig(), simulation.rig, sensors=frozenset({"lidar", "imu"}), local_map=make()
+            )
+            begin = time.process_time()
+            results = [r for message in simulation for r in odometry.add(message)] + odometry.finish()
+            spent = 1e3 * (time.process_time() - begin) / max(len(results), 1)
+            truth = simulation.truth.pose(np.array([r.end_ns for r in results]))
+            poses = np.stack([r.T_odom_imu for r in results])
+            p = se3.act(truth[0] @ se3.inverse(poses[0]), poses[:, :3, 3])  # both from where the first scan ended
+            error = np.linalg.norm(p - truth[:, :3, 3], axis=1)
+            rows.append({"case": "filter", "place": place, "structure": name, "scans": len(results),
+                         "rmse_mm": float(1e3 * np.sqrt(np.mean(error**2))), "end_mm": float(1e3 * error[-1]),
+                         "ms": spent})  # fmt: skip
+    return rows
+
+
 def kd_tree_section(rows: list[dict[str, Any]], table: Callable[[Sequence[str], Sequence[Any]], str]) -> str:
     """Return the table of structures and the drive in words."""
     trees = sorted((r for r in rows if r["case"] == "trees"), key=lambda r: r["scan"])
@@ -185,5 +212,14 @@ def kd_tree_section(rows: list[dict[str, Any]], table: Callable[[Sequence[str], 
             f"\nDriving {course[-1]['x'] / 1000:g} km with a bound of 60 m: {min(late):.1f} to {max(late):.1f} MB "
             f"after the first quarter, {course[-1]['points']} points at the end, "
             f"{np.median([r['ms'] for r in course]):.1f} ms a scan of 6000 points, forgetting included.\n"
+        )
+    inside = [r for r in rows if r["case"] == "filter"]
+    if inside:
+        lines = [[r["place"], r["structure"], r["scans"], f"{r['rmse_mm']:.1f}", f"{r['end_mm']:.1f}", f"{r['ms']:.1f}"]
+                 for r in inside]  # fmt: skip
+        text += (
+            "\nThe filter on the same simulated recording (32 x 256 beams) with either as its local map; errors of "
+            "positions from where the first scan ended:\n\n"
+            + table(["place", "map", "scans", "rmse mm", "at the end mm", "ms a scan"], lines)
         )
     return text

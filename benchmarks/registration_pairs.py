@@ -15,7 +15,7 @@ from heliograph.sim.places import PLACES
 from heliograph.sim.sensors import LidarModel, measure_ranges
 from heliograph.sim.world import SimulatedWorld
 
-__all__ = ["Pair", "draw_pairs", "pose_error", "write_pairs"]
+__all__ = ["Pair", "draw_pairs", "pose_error", "random_pose", "random_scan", "write_pairs"]
 
 _PLACES = {"warehouse": 14.0, "room": 4.0, "street": 25.0, "aisles": 10.0}
 _BEAMS = ((32, 1024, 16.0), (64, 1024, 22.5), (128, 1024, 22.5))
@@ -36,7 +36,7 @@ class Pair:
     overlap: float
 
 
-def _scan(
+def random_scan(
     world: SimulatedWorld, T: NDArray[np.float64], model: LidarModel, rng: np.random.Generator
 ) -> NDArray[np.float32]:
     rays = model.directions()
@@ -46,7 +46,7 @@ def _scan(
     return (rays * ranges[..., None])[ranges > 0.0].astype(np.float32)
 
 
-def _pose(row: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
+def random_pose(row: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
     T = np.eye(4)
     tilt = np.radians(3.0) * rng.normal(size=2)
     T[:3, :3] = so3.from_rpy(tilt[0], tilt[1], row[3] + rng.uniform(-0.5, 0.5))
@@ -73,8 +73,8 @@ def draw_pairs(count: int, seed: int = 0, *, max_offset: float = 1.0, max_turn_d
         for _ in range(12):
             a = int(rng.integers(len(way)))
             b = (a + int(rng.uniform(0.0, _PLACES[name]) / spacing)) % len(way)
-            Ta, Tb = _pose(way[a], rng), _pose(way[b], rng)
-            target, source = _scan(place.world, Ta, model, rng), _scan(place.world, Tb, model, rng)
+            Ta, Tb = random_pose(way[a], rng), random_pose(way[b], rng)
+            target, source = random_scan(place.world, Ta, model, rng), random_scan(place.world, Tb, model, rng)
             if min(len(target), len(source)) < _FEWEST:  # the course leaves the street there
                 continue
             truth = np.linalg.inv(Ta) @ Tb

@@ -10,6 +10,7 @@ from typing import Any
 
 from benchmarks.blind import blind_section
 from benchmarks.calibrate import calibration_section
+from benchmarks.global_alignment import global_section
 from benchmarks.graph_table import graph_section, graph_summary, scale_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
@@ -34,6 +35,7 @@ _OTHER_SECTIONS = {
     "lio": lio_section,
     "calibrate": calibration_section,
     "registration": registration_section,
+    "global_alignment": global_section,
     "blind": blind_section,
     "kd_tree": kd_tree_section,
     "loops": loops_section,

@@ -3,6 +3,7 @@
 #include "bindings/bindings.hpp"
 #include "registration/features.hpp"
 #include "registration/icp.hpp"
+#include "registration/range_image.hpp"
 
 namespace heliograph {
 
@@ -152,11 +153,35 @@ void bind_surface_cloud(nb::module_& m) {
            "level"_a, "source"_a, "source_level"_a, "T"_a.noconvert(), "reach"_a, "threads"_a);
 }
 
+void bind_range_image(nb::module_& m) {
+  using namespace nb::literals;
+  nb::class_<RangeImage>(m, "RangeImage")
+      .def("__init__",
+           [](RangeImage* self, const Points& points, double cell) {
+             if (!(cell >= 1e-3 && cell <= 1.0)) throw std::invalid_argument("cell must be 0.001 to 1 rad");
+             unlocked([&] { new (self) RangeImage(span_of(points), cell); });
+           },
+           "points"_a.noconvert(), "cell"_a)
+      .def("sight",
+           [](const RangeImage& image, SurfaceCloud& to, const SurfaceCloud& from, size_t level, const Matrix4& T,
+              double reach, int threads) {
+             check_level(to, level);
+             check_level(from, level);
+             const Sighting s = unlocked([&] {
+               to.tree(level);
+               return image.sight(to, from, level, T.data(), reach, threads);
+             });
+             return Tuple(nb::make_tuple(s.near, s.expected, s.through));
+           },
+           "target"_a, "source"_a, "level"_a, "T"_a.noconvert(), "reach"_a, "threads"_a);
+}
+
 }  // namespace
 
 void bind_alignment(nb::module_& m) {
   using namespace nb::literals;
   bind_surface_cloud(m);
+  bind_range_image(m);
   using Features = Array<const float, nb::shape<-1, kFeature>>;
   m.def("point_features",
         [](SurfaceCloud& cloud, size_t level, double radius, int threads) {

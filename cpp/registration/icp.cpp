@@ -170,15 +170,29 @@ struct Pairing {
   Motion motion;
   IcpSettings settings;
 
+  uint64_t cube_of(const double* p) const {
+    const double inverse = 1.0 / target.edge;
+    return pack(0, {floor_index(p[0] * inverse), floor_index(p[1] * inverse), floor_index(p[2] * inverse)});
+  }
+
   uint32_t partner(const double* p, uint32_t hint) const {
     if (settings.by_cube) {
-      const double inverse = 1.0 / target.edge;
-      const FlatIndex::Slot* slot =
-          target.index.find(pack(0, {floor_index(p[0] * inverse), floor_index(p[1] * inverse), floor_index(p[2] * inverse)}));
+      const FlatIndex::Slot* slot = target.index.find(cube_of(p));
       return slot == nullptr ? kNoNeighbour : slot->value;
     }
     const float q[3] = {static_cast<float>(p[0]), static_cast<float>(p[1]), static_cast<float>(p[2])};
     return tree->nearest(q, static_cast<float>(settings.gate * settings.gate), hint).index;
+  }
+
+  // The partners of `count` elements at their places, into `found`, which holds a guess of each: step by step for all
+  // of them, so that the waits for the index and for the partners overlap.
+  void partners(const double* places, size_t count, uint32_t* found) const {
+    if (settings.by_cube)
+      for (size_t i = 0; i < count; ++i) target.index.prefetch(cube_of(places + 3 * i));
+    for (size_t i = 0; i < count; ++i) {
+      found[i] = partner(places + 3 * i, found[i]);
+      if (found[i] != kNoNeighbour) __builtin_prefetch(&target.elements[found[i]]);
+    }
   }
 
   bool facing_alike(const SurfaceElement& t, const SurfaceElement& s) const {
@@ -266,14 +280,16 @@ IcpSums icp_sums(const SurfaceCloud& target, size_t target_level, const SurfaceC
   std::vector<IcpSums> partial(chunks);
   parallel_chunks(chunks, threads, [&](size_t chunk) {
     IcpSums& sums = partial[chunk];
-    for (size_t i = chunk * kChunk; i < std::min(elements.size(), (chunk + 1) * kChunk); ++i) {
-      double p[3];
-      apply(pairs.motion, elements[i].mean, p);
-      const uint32_t found = keep ? (*hints)[i] : pairs.partner(p, (*hints)[i]);
-      (*hints)[i] = found;
-      if (found == kNoNeighbour) continue;
+    const size_t begin = chunk * kChunk, count = std::min(elements.size(), begin + kChunk) - begin;
+    double places[3 * kChunk];
+    uint32_t* found = hints->data() + begin;
+    for (size_t i = 0; i < count; ++i) apply(pairs.motion, elements[begin + i].mean, places + 3 * i);
+    if (!keep) pairs.partners(places, count, found);
+    for (size_t k = 0; k < count; ++k) {
+      if (found[k] == kNoNeighbour) continue;
+      const size_t i = begin + k;
       Term term;
-      if (!pairs.term(pairs.target.elements[found], elements[i], p, &term)) continue;
+      if (!pairs.term(pairs.target.elements[found[k]], elements[i], places + 3 * k, &term)) continue;
       sums.cost += robust_cost(term, settings.kernel);
       add_term(term, pairs.motion.R, elements[i].mean, pairs.weight(term), &sums);
     }
@@ -301,10 +317,18 @@ std::vector<IcpMatch> icp_matches(const SurfaceCloud& target, size_t target_leve
   const size_t count = elements.size(), chunks = (count + kChunk - 1) / kChunk;
   std::vector<std::vector<IcpMatch>> partial(chunks);
   parallel_chunks(chunks, threads, [&](size_t chunk) {
-    for (size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
-      double p[3], q[3];
-      apply(pairs.motion, elements[i].mean, p);
-      const uint32_t found = pairs.partner(p, hints.empty() ? kNoNeighbour : hints[i]);
+    const size_t begin = chunk * kChunk, some = std::min(count, begin + kChunk) - begin;
+    double places[3 * kChunk];
+    std::vector<uint32_t> partner(some, kNoNeighbour);
+    if (!hints.empty()) std::copy_n(hints.begin() + static_cast<std::ptrdiff_t>(begin), some, partner.begin());
+    for (size_t k = 0; k < some; ++k) apply(pairs.motion, elements[begin + k].mean, places + 3 * k);
+    pairs.partners(places, some, partner.data());
+    partial[chunk].reserve(some);
+    for (size_t k = 0; k < some; ++k) {
+      const size_t i = begin + k;
+      const double* p = places + 3 * k;
+      double q[3];
+      const uint32_t found = partner[k];
       Term term;
       if (found == kNoNeighbour || !pairs.term(pairs.target.elements[found], elements[i], p, &term)) continue;
       const SurfaceElement& t = pairs.target.elements[found];
@@ -342,11 +366,14 @@ double overlap_share(const SurfaceCloud& to, size_t to_level, const SurfaceCloud
   const size_t chunks = (elements.size() + kChunk - 1) / kChunk;
   std::vector<size_t> near(chunks, 0);
   parallel_chunks(chunks, threads, [&](size_t chunk) {
+    uint32_t last = kNoNeighbour;
     for (size_t i = chunk * kChunk; i < std::min(elements.size(), (chunk + 1) * kChunk); ++i) {
       double p[3];
       apply(motion, elements[i].mean, p);
       const float q[3] = {static_cast<float>(p[0]), static_cast<float>(p[1]), static_cast<float>(p[2])};
-      near[chunk] += tree.nearest(q, square).index != kNoNeighbour;
+      // Elements that follow one another mostly lie together: what was near the last one is often near enough to this.
+      if (last == kNoNeighbour || square_distance(q, to.level(to_level).elements[last].mean) > square) last = tree.nearest(q, square).index;
+      near[chunk] += last != kNoNeighbour;
     }
   });
   size_t total = 0;

@@ -32,27 +32,58 @@ using Cells = std::vector<Cell>;
 
 double middle(int64_t cube, double edge) { return (static_cast<double>(cube) + 0.5) * edge; }
 
+using Four = float __attribute__((vector_size(16)));
+using FourInts = int32_t __attribute__((vector_size(16)));
+
+// The moments of a finest cube in one cache line. About its centre no coordinate exceeds half an edge, so single precision
+// loses less than the points' own rounding.
+struct FineCell {
+  Four first{};   // count, x, y, z
+  Four second{};  // xx xy xz yy
+  Four third{};   // yz zz, unused
+  FourInts cube;
+
+  void add(Four d) {
+    first += __builtin_shufflevector(d, Four{1.0F, 0.0F, 0.0F, 0.0F}, 4, 0, 1, 2);
+    second += __builtin_shufflevector(d, d, 0, 0, 0, 1) * __builtin_shufflevector(d, d, 0, 1, 2, 1);
+    third += __builtin_shufflevector(d, d, 1, 2, 3, 3) * __builtin_shufflevector(d, d, 2, 2, 3, 3);
+  }
+
+  Cell widened() const {
+    Cell out{{cube[0], cube[1], cube[2]}, {}};
+    out.moments.count = static_cast<double>(first[0]);
+    for (int i = 0; i < 3; ++i) out.moments.sum[i] = static_cast<double>(first[i + 1]);
+    for (int i = 0; i < 6; ++i) out.moments.outer[i] = static_cast<double>(i < 4 ? second[i] : third[i - 4]);
+    return out;
+  }
+};
+
 // One pass over the points. Neighbours in memory are mostly neighbours in space, so the last cube is asked first.
 Cells finest_cells(std::span<const float> points, double edge, FlatIndex* index, size_t* finite) {
-  Cells cells;
-  cells.reserve(points.size() / 12);
-  const double inverse = 1.0 / edge;
+  std::vector<FineCell> fine;
+  fine.reserve(points.size() / 24);
+  const auto inverse = static_cast<float>(1.0 / edge), width = static_cast<float>(edge);
   uint64_t last_key = kNoKey;
   uint32_t last = 0;
   for (size_t k = 0; k < points.size(); k += 3) {
-    const double x = static_cast<double>(points[k]), y = static_cast<double>(points[k + 1]), z = static_cast<double>(points[k + 2]);
-    if (!std::isfinite(x + y + z)) continue;
+    const Four p{points[k], points[k + 1], points[k + 2], 0.0F};
+    if (!std::isfinite(p[0] + p[1] + p[2])) continue;
     ++*finite;
-    const Cube cube{floor_index(x * inverse), floor_index(y * inverse), floor_index(z * inverse)};
-    const uint64_t key = pack(0, cube);
+    const Four scaled = p * inverse;
+    FourInts cube = __builtin_convertvector(scaled, FourInts);
+    cube += __builtin_convertvector(cube, Four) > scaled;  // a true comparison is -1: the floor
+    const uint64_t key = pack(0, {cube[0], cube[1], cube[2]});
     if (key != last_key) {
-      const auto [at, is_new] = index->insert(key, static_cast<uint32_t>(cells.size()));
-      if (is_new) cells.push_back({cube, {}});
+      const auto [at, is_new] = index->insert(key, static_cast<uint32_t>(fine.size()));
+      if (is_new) fine.push_back({.cube = cube});
       last = at;
       last_key = key;
     }
-    cells[last].moments.add(x - middle(cube.x, edge), y - middle(cube.y, edge), z - middle(cube.z, edge));
+    fine[last].add(p - (__builtin_convertvector(cube, Four) + 0.5F) * width);
   }
+  Cells cells;
+  cells.reserve(fine.size());
+  for (const FineCell& cell : fine) cells.push_back(cell.widened());
   return cells;
 }
 
@@ -115,12 +146,21 @@ void add_axes(const PointMoments& m, SurfaceElement* e) {
   for (int i = 0; i < 9; ++i) e->axes[i] = static_cast<float>(axes[i]);
 }
 
-// Whether a place belongs to a surface: it lies as near to it as the points that made it.
-bool belongs(const double* place, const Surface& surface) {
-  const double* n = surface.axes;
+// Whether an element belongs to a wider surface: it lies as near to it as the points that made it.
+bool belongs(const SurfaceElement& e, const SurfaceElement& wider) {
   double off = 0.0;
-  for (int i = 0; i < 3; ++i) off += n[i] * (place[i] - surface.centre[i]);
-  return off * off <= 9.0 * surface.values[0] + 1e-6;
+  for (int i = 0; i < 3; ++i)
+    off += static_cast<double>(wider.axes[i]) * (static_cast<double>(e.mean[i]) - static_cast<double>(wider.centre[i]));
+  return off * off <= 9.0 * static_cast<double>(wider.values[0]) + 1e-6;
+}
+
+// Gives an element the surface of a wider one around it.
+void adopt(const SurfaceElement& wider, SurfaceElement* e) {
+  std::copy_n(wider.centre, 3, e->centre);
+  std::copy_n(wider.axes, 9, e->axes);
+  std::copy_n(wider.values, 3, e->values);
+  e->support = wider.support;
+  e->shape = wider.shape;
 }
 
 }  // namespace
@@ -136,34 +176,30 @@ void SurfaceCloud::make_cubes(std::span<const float> points, const ElementSettin
   const auto count = static_cast<size_t>(settings.levels);
   std::vector<Cells> cells(count);
   std::vector<std::vector<uint32_t>> parent(count);
-  std::vector<std::vector<Surface>> surfaces(count);
   for (size_t l = 0; l < count; ++l) {
     const double edge = settings.voxel * static_cast<double>(uint64_t{1} << l);
     levels_.push_back({edge, {}, FlatIndex(l == 0 ? 14 : 10), nullptr});
     cells[l] = l == 0 ? finest_cells(points, edge, &levels_[0].index, &finite_)
                       : parents(cells[l - 1], edge / 2.0, &levels_[l].index, &parent[l - 1]);
-    surfaces[l].reserve(cells[l].size());
+    levels_[l].elements.reserve(cells[l].size());
     for (const Cell& cell : cells[l]) {
       const double origin[3] = {middle(cell.cube.x, edge), middle(cell.cube.y, edge), middle(cell.cube.z, edge)};
-      surfaces[l].push_back(surface_of(cell.moments, origin, edge, settings));
+      const Surface surface = surface_of(cell.moments, origin, edge, settings);
+      levels_[l].elements.push_back(element(surface.centre, cell.moments.count, surface));
     }
   }
-  for (size_t l = 0; l < count; ++l) {
-    levels_[l].elements.reserve(cells[l].size());
+  for (size_t l = 0; l < count; ++l)  // upwards, so that the wider ones are still as their own points made them
     for (size_t i = 0; i < cells[l].size(); ++i) {
-      const Surface& own = surfaces[l][i];
-      const Surface* best = &own;
+      SurfaceElement& e = levels_[l].elements[i];
       size_t at = i;
-      for (size_t up = l; best->shape != Shape::plane && up + 1 < count; ++up) {
+      for (size_t up = l; e.shape != Shape::plane && up + 1 < count; ++up) {
         at = parent[up][at];
-        const Surface& wider = surfaces[up + 1][at];
-        if (wider.shape == Shape::plane && belongs(own.centre, wider)) best = &wider;
-        if (wider.shape == Shape::line && best->shape == Shape::scatter) best = &wider;
+        const SurfaceElement& wider = levels_[up + 1].elements[at];
+        if ((wider.shape == Shape::plane && belongs(e, wider)) || (wider.shape == Shape::line && e.shape == Shape::scatter))
+          adopt(wider, &e);
       }
-      levels_[l].elements.push_back(element(own.centre, cells[l][i].moments.count, *best));
-      if (best->shape == Shape::scatter) add_axes(cells[l][i].moments, &levels_[l].elements.back());
+      if (e.shape == Shape::scatter && e.count < static_cast<float>(settings.min_support)) add_axes(cells[l][i].moments, &e);
     }
-  }
 }
 
 void SurfaceCloud::make_points(std::span<const float> points, const ElementSettings& settings, int threads) {

@@ -24,6 +24,11 @@ struct SurfaceElement {
   Shape shape;
 };
 
+inline float square_distance(const float* a, const float* b) {
+  const float d[3] = {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
+  return d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+}
+
 struct ElementSettings {
   double voxel;          // edge of the finest cubes [m]; 0: one element a point
   int levels;            // of cubes, each twice as wide as the one before

@@ -37,6 +37,22 @@ class SurfaceCloud:
         threads: int,
     ) -> float: ...
 
+class RangeImage:
+    def __init__(
+        self,
+        points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        cell: float,
+    ) -> None: ...
+    def sight(
+        self,
+        target: SurfaceCloud,
+        source: SurfaceCloud,
+        level: int,
+        T: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+        reach: float,
+        threads: int,
+    ) -> tuple[Any, ...]: ...
+
 def point_features(cloud: SurfaceCloud, level: int, radius: float, threads: int) -> NDArray[numpy.float32]: ...
 def nearest_features(
     a: Annotated[NDArray[numpy.float32], dict(shape=(None, 33), order="C", device="cpu", writable=False)],

@@ -101,6 +101,8 @@ class GlobalAlignConfig:
         Level of elements, 0 the finest, whose features are matched.
     radius : float
         Radius of a feature's neighbourhood [m].
+    wide_radius, wide_tolerance : float
+        Radius and tolerance on the next level, which is matched too [m].
     keypoints : int
         Elements of each cloud that are matched.
     neighbours : int
@@ -110,46 +112,47 @@ class GlobalAlignConfig:
     max_angle_deg : float
         The same of the angles between their normals [deg].
     seeds, hypotheses : int
-        Sets that are grown, and poses of them that are tried.
+        Sets that are grown on a level, and poses of them that are tried.
     same, same_deg : float
         Poses nearer than this are one [m], [deg].
     refined : int
-        Poses, of those the ones whose clouds overlap most, that are refined and compared.
+        Poses, of those the most promising, that are refined and compared.
     reach : float
         Largest distance of a counterpart [m].
     kernel : float
         Residual at which a match counts a quarter as evidence [m].
-    min_overlap : float
-        Share of the smaller overlap that an answer needs.
-    min_fit : float
-        Evidence of the answer's matches that it needs, as a share of the overlap.
-    min_lead : float
-        How many times the evidence of the next pose an answer's must be.
+    cell_deg : float
+        Cell of directions in which a scan is taken to have seen what is between its nearest and farthest return [deg].
+    min_odds : float
+        Odds, by the evidence, that a pose needs.
     """
 
     level: int = 1
     radius: float = 2.0
+    wide_radius: float = 6.0
+    wide_tolerance: float = 0.6
     keypoints: int = 1500
     neighbours: int = 4
     tolerance: float = 0.4
     max_angle_deg: float = 25.0
     seeds: int = 150
     hypotheses: int = 40
-    refined: int = 24
+    refined: int = 10
     same: float = 0.5
     same_deg: float = 5.0
     reach: float = 0.5
     kernel: float = 0.1
-    min_overlap: float = 0.36
-    min_fit: float = 0.4
-    min_lead: float = 1.05
+    cell_deg: float = 2.0
+    min_odds: float = 11.0
 
     def __post_init__(self) -> None:
+        check_range(self, "wide_radius", "wide_tolerance", above=0.0)
         check_range(self, "radius", "tolerance", "max_angle_deg", "same", "same_deg", "reach", "kernel", above=0.0)
         check_range(self, "level", low=0)
         check_range(self, "keypoints", low=3)
-        check_range(self, "neighbours", "seeds", "hypotheses", "refined", "min_lead", low=1)
-        check_range(self, "min_overlap", "min_fit", low=0.0, high=1.0)
+        check_range(self, "neighbours", "seeds", "hypotheses", "refined", low=1)
+        check_range(self, "min_odds", above=0.0)
+        check_range(self, "cell_deg", low=0.1, high=30.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

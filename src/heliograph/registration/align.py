@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -13,7 +13,7 @@ from heliograph.config import AlignConfig, GlobalAlignConfig
 from heliograph.errors import ConfigError, DataError, closest
 from heliograph.lie import se3, so3
 from heliograph.registration.align_globally import GlobalStart, find_start
-from heliograph.registration.align_levels import METHODS, LevelFit, fit_levels, level_matches, refine
+from heliograph.registration.align_levels import METHODS, LevelFit, explored, fit_levels, level_matches, refine
 from heliograph.registration.align_result import AlignResult, ResidualDistribution
 from heliograph.registration.blind_directions import InformationAnalysis, analyse_planes
 from heliograph.registration.surfaces import PreparedCloud, prepare_cloud
@@ -83,7 +83,11 @@ def align(
         watch.lap("start")
         if not found.accepted:
             return _refused(source, T_start, found, method, watch)
-    return align_prepared(target, source, T_start, method, config, threads, watch)
+    result = align_prepared(target, source, T_start, method, config, threads, watch)
+    if search_first and result.status in ("degenerate", "not converged"):
+        # A direction that is not seen would keep what the features made of it, which is no guess of anyone's.
+        return replace(result, status="refused", T_target_source=None, covariance=None, information=None)
+    return result
 
 
 def align_prepared(
@@ -107,6 +111,11 @@ def align_prepared(
     watch.lap("iterate")
     overlaps = _overlaps(target, source, fit.T, threads)
     analysis = _observability(target, source, fit, config, threads)
+    if analysis is not None and analysis.blind:
+        other = explored(target, source, fit, local, analysis.blind_basis(), method, config, threads)
+        seen = None if other is None else _observability(target, source, other, config, threads)
+        if other is not None and seen is not None and len(seen.blind) < len(analysis.blind):
+            fit, analysis, overlaps = other, seen, _overlaps(target, source, other.T, threads)
     if config.remap and analysis is not None and analysis.blind and min(overlaps) >= config.min_overlap:
         fit = _held(target, source, fit, local, analysis, method, config, threads)
         overlaps = _overlaps(target, source, fit.T, threads)
@@ -134,8 +143,8 @@ def _refused(
         elements=source.native.size(0),
         matches=0,
         inliers=0,
-        overlap_source=found.overlap,
-        overlap_target=found.overlap,
+        overlap_source=found.evidence.overlap if found.evidence is not None else 0.0,
+        overlap_target=found.evidence.overlap if found.evidence is not None else 0.0,
         residuals=_distribution(np.zeros((0, 13)), float("nan")),
         observability=None,
         seconds=MappingProxyType(dict(watch.seconds)),
@@ -328,7 +337,10 @@ def checked_pose(start: ArrayLike | None) -> Array:
     """Return a start as a motion (4, 4), or raise `DataError` if it is none."""
     if start is None:
         return np.eye(4)
-    T = np.array(start, dtype=np.float64)
+    try:
+        T = np.array(start, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise DataError("the start is not a matrix of numbers; give T_target_source, 4x4") from None
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise DataError(f"the start is not a finite 4x4 matrix (shape {T.shape}); give T_target_source")
     R = T[:3, :3]

@@ -14,7 +14,7 @@ from heliograph.lie import se3
 from heliograph.registration.remapping import seen_step
 from heliograph.registration.surfaces import PreparedCloud
 
-__all__ = ["METHODS", "LevelFit", "fit_levels", "level_matches", "refine"]
+__all__ = ["METHODS", "LevelFit", "explored", "fit_levels", "level_matches", "refine"]
 
 Array = NDArray[np.float64]
 
@@ -25,6 +25,7 @@ _KEEP = 0.1  # of a cube's edge: a smaller step leaves the partners as they are
 _COARSE = 0.02  # of a cube's edge: a smaller step ends a coarse level
 _LEVER = 10.0  # distance at which a rotation counts as a displacement [m]
 _LOOSE = 1e-9  # of the information's diagonal, added to it: a step exists even where nothing is seen
+_STEP_SIGMAS = 0.1  # a step shorter than this share of its own standard deviation ends a level
 _MIN_KERNEL = 3.0  # of the residuals' spread, the narrowest kernel
 
 
@@ -113,6 +114,40 @@ def refine(
     return _with_iterations(again, fit.iterations + again.iterations)
 
 
+def explored(
+    target: PreparedCloud,
+    source: PreparedCloud,
+    fit: LevelFit,
+    start: Array,
+    blind: Array,
+    method: str,
+    config: AlignConfig,
+    threads: int,
+) -> LevelFit | None:
+    """Return a better fit from starts along what ``fit`` leaves blind (6, K), or None.
+
+    A fit that sees the ground only may be one whose walls found no partner. The starts are up to two of the start's own
+    sigmas away, and are tried on the two widest levels.
+    """
+    top = target.native.levels() - 1
+    if top < 1:
+        return None
+    coarse = range(top, top - 2, -1)
+    sigma = np.concatenate([np.full(3, np.radians(config.start_sigma_deg)), np.full(3, config.start_sigma)])
+    reference = fit_levels(target, source, fit.T, "gicp", config, threads, levels=coarse)
+    best = reference
+    for column in blind.T:
+        unit = column / np.linalg.norm(column / sigma)
+        for steps in (-2.0, -1.0, 1.0, 2.0):
+            there = np.ascontiguousarray(se3.retract(start, steps * unit))
+            some = fit_levels(target, source, there, "gicp", config, threads, levels=coarse)
+            best = some if some.weight > best.weight else best
+    if best is reference:
+        return None
+    again = fit_levels(target, source, best.T, method, config, threads, levels=range(max(top - 2, 0), -1, -1))
+    return _with_iterations(again, fit.iterations + again.iterations) if again.weight > fit.weight else None
+
+
 def _with_iterations(fit: LevelFit, iterations: int) -> LevelFit:
     return LevelFit(
         T=fit.T,
@@ -152,14 +187,16 @@ def _fit(
             break
         chi = whitened / weight
         d = _step(H, g, blind)
-        T = np.ascontiguousarray(se3.retract(T, d))
-        moved = float(np.abs(d[3:]).max()) + _LEVER * float(np.abs(d[:3]).max())
+        T = _retracted(T, d)
+        turned, shifted = max(map(abs, d[:3].tolist())), max(map(abs, d[3:].tolist()))
+        moved = shifted + _LEVER * turned
         # Partners found at nearly this pose are those of this pose: the search is most of an iteration's time.
         since = moved if not keep else since + moved
         keep = since < _KEEP * edge and config.voxel > 0.0
         if level == 0 and k == 2 and kernel > 0.0:
             kernel = float(np.clip(_MIN_KERNEL * np.sqrt(square / weight), 4.0 * config.sigma, kernel))
-        settled = bool(np.abs(d[3:]).max() < tolerance and np.abs(d[:3]).max() < turn)
+        # Where nothing is seen a step stays long; one that the matches cannot tell from none ends the level too.
+        settled = (shifted < tolerance and turned < turn) or float(d @ H @ d) < _STEP_SIGMAS**2
         if settled:
             break
     return LevelFit(
@@ -176,8 +213,17 @@ def _fit(
 
 
 def _step(H: Array, g: Array, blind: Array | None) -> Array:
-    held = H + np.diag(_LOOSE * np.diag(H) + _LOOSE)
-    return seen_step(held, g, blind if blind is not None else np.zeros((6, 0)))
+    held = H.copy()
+    held.ravel()[::7] *= 1.0 + _LOOSE
+    held.ravel()[::7] += _LOOSE
+    return np.asarray(-np.linalg.solve(held, g)) if blind is None else seen_step(held, g, blind)
+
+
+def _retracted(T: Array, d: Array) -> Array:
+    """``T exp(d)`` without the checks of `heliograph.lie`: a scan's iterations are a third of a millisecond each."""
+    out = np.empty((1, 4, 4))
+    _core.se3_exp(d[None], out)
+    return np.asarray(T @ out[0])
 
 
 def one_sided(target: PreparedCloud, source: PreparedCloud) -> bool:

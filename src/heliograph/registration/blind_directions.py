@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
+from heliograph.lie import so3
 
 __all__ = ["DirectionInformation", "InformationAnalysis", "analyse_information", "analyse_planes"]
 
@@ -204,11 +205,14 @@ def _side(
     values, vectors = np.linalg.eigh(block)
     found = []
     for value, v in zip(values, vectors.T, strict=True):
-        arm = np.broadcast_to(v, normals.shape) if levers is None else np.cross(v, levers[0]) - v @ levers[1]
-        # |arm|^2 across the normal: how much a unit turn of the normal changes this row along v.
-        across = np.maximum(np.einsum("ij,ij->i", arm, arm) - np.einsum("ij,ij->i", arm, normals) ** 2, 0.0)
-        feigned = variance * across
         along = rows @ v
+        # How much a unit turn of the normal changes this row along v: the part of the arm across the normal, squared.
+        if levers is None:
+            across = np.maximum(1.0 - along**2, 0.0)
+        else:
+            arm = levers[0] @ so3.hat(v).T - v @ levers[1]
+            across = np.maximum(np.einsum("ij,ij->i", arm, arm) - np.einsum("ij,ij->i", arm, normals) ** 2, 0.0)
+        feigned = variance * across
         noise = float(weights @ feigned)
         spread = math.sqrt(float(weights**2 @ (4.0 * along**2 * feigned + 2.0 * feigned**2)))
         left = float(value) - noise

@@ -52,12 +52,13 @@ class _Keypoints:
 def hypotheses(
     target: PreparedCloud, source: PreparedCloud, config: GlobalAlignConfig, threads: int
 ) -> list[Hypothesis]:
-    """Return poses that the features of two clouds suggest, the best supported first; none where none agree.
+    """Return poses that the features of two clouds suggest; none where none agree.
 
     Fast point feature histograms (R. Rusu et al., ICRA 2009) are matched both ways; matches that one rigid motion could
     make form sets (maximum cliques: H. Yang, J. Shi, L. Carlone, "TEASER", T-RO 2021, grown greedily here from the
     pairs with the highest second-order compatibility: Z. Chen et al., CVPR 2022); each set gives a pose by truncated
-    least squares with graduated non-convexity.
+    least squares with graduated non-convexity. That is done on two levels: narrow surroundings tell the places of a
+    room apart, and look the same all along a street, where the wide ones do.
 
     Parameters
     ----------
@@ -66,27 +67,51 @@ def hypotheses(
     threads : int
         The result does not depend on it.
     """
-    level = min(config.level, target.native.levels() - 1)
-    a, b = (_keypoints(cloud, level, config, threads) for cloud in (target, source))
+    found: list[Hypothesis] = []
+    for scale in _scales(target, config):
+        found += _at_scale(target, source, scale, config, threads)
+    return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Scale:
+    level: int
+    radius: float
+    tolerance: float
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def _scales(target: PreparedCloud, config: GlobalAlignConfig) -> list[_Scale]:
+    top = target.native.levels() - 1
+    narrow = _Scale(level=min(config.level, top), radius=config.radius, tolerance=config.tolerance)
+    wide = _Scale(level=config.level + 1, radius=config.wide_radius, tolerance=config.wide_tolerance)
+    return [narrow, wide] if wide.level <= top else [narrow]
+
+
+def _at_scale(
+    target: PreparedCloud, source: PreparedCloud, scale: _Scale, config: GlobalAlignConfig, threads: int
+) -> list[Hypothesis]:
+    a, b = (_keypoints(cloud, scale, config, threads) for cloud in (target, source))
     if min(len(a.places), len(b.places)) < 3:
         return []
     pairs = _pairs(a, b, config, threads)
     p, q = b.places[pairs[:, 1]], a.places[pairs[:, 0]]
     n, m = b.normals[pairs[:, 1]], a.normals[pairs[:, 0]]
-    tolerance = config.tolerance
-    sets = _core.consistent_sets(p, q, n, m, tolerance, np.radians(config.max_angle_deg), config.seeds, threads)
+    tolerance, angle = scale.tolerance, np.radians(config.max_angle_deg)
     found = []
-    for members in sets:
+    for members in _core.consistent_sets(p, q, n, m, tolerance, angle, config.seeds, threads):
         T, inliers = truncated_pose(p[members], q[members], tolerance)
         found.append(Hypothesis(T=T, support=int(inliers.sum())))
     found.sort(key=lambda h: -h.support)
     return _distinct(found, config)
 
 
-def _keypoints(cloud: PreparedCloud, level: int, config: GlobalAlignConfig, threads: int) -> _Keypoints:
+def _keypoints(cloud: PreparedCloud, scale: _Scale, config: GlobalAlignConfig, threads: int) -> _Keypoints:
     """Choose the elements whose histograms differ most from the cloud's mean: a wall's middle is like any other."""
-    mean, _, axes, *_ = cloud.native.elements(level)
-    features = np.asarray(_core.point_features(cloud.native, level, config.radius, threads))
+    mean, _, axes, *_ = cloud.native.elements(scale.level)
+    features = np.asarray(_core.point_features(cloud.native, scale.level, scale.radius, threads))
     lively = features.sum(axis=1) > 0.0
     typical = features[lively].mean(axis=0) if lively.any() else np.zeros(features.shape[1])
     unlike = np.where(lively, ((features - typical) ** 2).sum(axis=1), -1.0)

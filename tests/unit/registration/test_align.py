@@ -1,5 +1,7 @@
 """Registration of two clouds: poses, statuses, the textbook's numbers, and every bad input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests import scenes
@@ -196,6 +198,26 @@ def test_two_walls_settle_in_six_iterations_by_planes_and_more_by_points():
     assert [str(d.kind) for d in plane.observability.blind] == ["translation"]
     # A blind direction is taken back to the start by a second round of at most three steps.
     assert plane.iterations <= 6 + 3 < point.iterations
+    strict, loose = (align(target, source, method=m, config=replace(config, remap=False)).iterations
+                     for m in ("point-to-plane", "point-to-point"))  # fmt: skip
+    assert strict <= 6 < loose
+
+
+def test_align_looks_further_where_it_sees_only_the_ground():
+    """From a turn so wide that no wall finds a partner the ground alone is left; the walls weigh more."""
+    rng = np.random.default_rng(3)
+
+    def yard():
+        ground = scenes.patch(rng, (0, 0, -1.5), (25, 0, 0), (0, 25, 0), 8000)
+        walls = [((24, 3, 2), (0, 3, 0)), ((-4, 23, 2), (3, 0, 0))]
+        return np.concatenate([ground, *(scenes.patch(rng, c, u, (0, 0, 4), 6000) for c, u in walls)])
+
+    truth = se3.exp([0.0, 0.0, 0.1, 0.3, -0.2, 0.0])
+    target, source = yard().astype(np.float32), scenes.moved(yard(), truth)
+    start = se3.retract(truth, [0.0, 0.0, np.radians(15.0), 0.3, 0.2, 0.0])
+    result = align(target, source, start=start)
+    assert result.status == "converged", result.reason
+    assert np.abs(se3.log(se3.inverse(truth) @ result.T_target_source)).max() < 0.01
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -205,6 +227,13 @@ def test_align_result_is_plain_json(method):
     target, source, _ = _room_pair()
     text = json.dumps(align(target, source, method=method).as_dict(), allow_nan=True)
     assert json.loads(text)["method"] == method
+
+
+@pytest.mark.parametrize("start", [[[1.0, 2.0], [3.0]], "x", [["a"] * 4] * 4])
+def test_a_start_that_is_no_matrix_is_one_line(start):
+    target, source, _ = _room_pair()
+    with pytest.raises((DataError, ConfigError), match="start"):
+        align(target, source, start=start)
 
 
 def test_align_turns_with_the_frames():

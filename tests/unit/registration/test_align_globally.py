@@ -1,17 +1,21 @@
 """Alignment without a start: poses found from features, and refusals where the evidence does not suffice."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests import scenes
 from tests.reference.features import point_features
+from tests.reference.range_image import sight
 
 from heliograph import _core
+from heliograph.config import GlobalAlignConfig
 from heliograph.errors import ConfigError
 from heliograph.lie import se3, so3
 from heliograph.registration import align
 from heliograph.registration.global_alignment import truncated_pose
+from heliograph.registration.global_evidence import GlobalEvidence, log_odds
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -41,6 +45,25 @@ def test_global_alignment_refuses_another_place():
     assert result.status == "refused" and result.T_target_source is None
 
 
+EVIDENCE = GlobalEvidence(
+    overlap=0.6, fit=0.45, confirmed=0.93, seen_through=0.001, lead=1.5, weakest=0.05, elements=3000
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "worse"),
+    [("overlap", 0.2), ("fit", 0.1), ("confirmed", 0.6), ("seen_through", 0.1), ("lead", 1.0), ("weakest", 0.001)],
+)
+def test_odds_fall_with_each_kind_of_evidence(name, worse):
+    assert log_odds(EVIDENCE) > np.log(GlobalAlignConfig().min_odds)
+    assert log_odds(replace(EVIDENCE, **{name: worse})) < log_odds(EVIDENCE) - 0.5
+
+
+def test_a_pose_that_is_seen_through_is_refused_however_well_it_fits():
+    splendid = replace(EVIDENCE, overlap=0.95, fit=0.9, confirmed=1.0, lead=np.inf, weakest=0.2)
+    assert log_odds(replace(splendid, seen_through=0.15)) < np.log(GlobalAlignConfig().min_odds)
+
+
 def test_start_is_a_pose_or_global():
     cloud = scenes.corner_room(np.random.default_rng(0))
     with pytest.raises(ConfigError, match="neither a pose nor 'global'"):
@@ -62,6 +85,22 @@ def test_features_agree_with_the_twin():
     wanted = point_features(np.asarray(mean), np.asarray(axes)[:, 0], 1.5)
     # A share on the edge between two bins may fall into either.
     assert np.quantile(np.abs(found - wanted).max(axis=1), 0.95) < 1.0
+
+
+def test_sight_agrees_with_the_twin():
+    rng = np.random.default_rng(4)
+    target, source = scenes.corner_room(rng, 20), scenes.corner_room(rng, 20)
+    a, b = (_core.SurfaceCloud(cloud, 0.25, 1, 0.05, 6, 1) for cloud in (target, source))
+    to, elements = (np.asarray(c.elements(0)[0]) for c in (a, b))
+    cell = np.radians(5.0)
+    image = _core.RangeImage(target, cell)
+    for off in ([0.0] * 6, [0.0, 0.0, 0.6, 1.2, 0.5, 0.1], [0.3, 0.2, 2.0, -1.0, 0.4, 0.3]):
+        T = se3.exp(off)
+        found = [image.sight(a, b, 0, T, 0.3, threads) for threads in (1, 3)]
+        wanted = sight(target, cell, to, elements, T, 0.3)
+        # A place on the edge between two cells, or exactly as far as asked, may fall to either side.
+        assert found[0] == found[1] and np.abs(np.subtract(found[0], wanted)).max() <= 2
+    assert wanted[2] > 100
 
 
 def test_nearest_features_agree_with_numpy():
