@@ -54,8 +54,8 @@ def test_smooth_tunnel_costs_what_its_sigma_says(seed):
 def test_open_field_is_seen_however_weakly(name):
     results, _, _, error = run(SCENARIOS[name], 1)
     statuses = [r.status for r in results[1:]]
-    assert statuses.count("degenerate") < 0.02 * len(statuses)
-    assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.03
+    assert statuses.count("degenerate") < 0.25 * len(statuses)
+    assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.06
     sigma = np.sqrt(np.diag(results[-1].pose_covariance)[3:])
     assert (np.abs(error[-1]) < 3.0 * sigma).all()
     assert all(span.growth < 0.1 for span in spans_of(results))
