@@ -80,7 +80,7 @@ def test_several_sets_of_cubes_average_what_is_left():
 def test_all_points_are_used_where_planes_of_two_sizes_are_too_few():
     plane_map, rng = PlaneMap(MapConfig(), np.eye(3)[None]), np.random.default_rng(4)
     strip = np.stack([rng.uniform(0.0, 0.2, 3000), rng.uniform(0.0, 0.24, 3000), np.full(3000, 0.12)], axis=1)
-    rail = np.stack([np.full(3000, 0.24), rng.uniform(0.0, 0.24, 3000), rng.uniform(-0.4, 0.5, 3000)], axis=1)
+    rail = np.stack([np.full(3000, 0.24), rng.uniform(0.0, 0.24, 3000), rng.uniform(-0.2, 0.2, 3000)], axis=1)
     points = np.concatenate([strip, rail]).astype(np.float32)
     plane_map.insert(points, np.eye(4))
     assert plane_map.agreeing_points(points, np.eye(4), 0.15)[0].all()
