@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import Array, Points, freeze
 from heliograph.config import LoopConfig
+from heliograph.data import ImuBatch, Keyframe
 from heliograph.io.files.clouds import read_cloud
 from heliograph.lie import se3, so3
 from heliograph.registration import prepare_cloud
 from heliograph.sim.places import PLACES
+from heliograph.sim.revisits import STOREYS_HEIGHT, STOREYS_LENGTH, STOREYS_PITCH, storeys_world
 from heliograph.sim.sensors import LidarModel, measure_ranges
-from heliograph.sim.world import Primitive, SimulatedWorld, box, rectangle
+from heliograph.sim.world import SimulatedWorld, box, rectangle
 from heliograph.slam.loops import loop_align_config
 
 __all__ = ["WORLDS", "DriftingOdometry", "KeyframeSet", "partners", "read_keyframes"]
-
-_STOREY, _BETWEEN, _LENGTH = 3.6, 10.0, 40.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,33 +69,16 @@ class DriftingOdometry:
             T.append(T[-1] @ se3.inverse(before) @ after @ se3.exp(sigma * rng.standard_normal(6)))
         self.T = np.array(T)
         self._step = np.diag(sigma**2)
-        self._to: dict[int, Array] = {}
 
-    def points(self, index: int) -> Points:
-        """Return a keyframe's cloud."""
-        return self.keyframes.clouds[index]
-
-    def T_odom_imu(self, index: int) -> Array:
-        """Return its pose as odometry has it."""
-        return np.asarray(self.T[index])
-
-    def relative(self, a: int, b: int) -> tuple[Array, Array]:
-        """Return ``T_a_b`` and its covariance."""
-        return se3.inverse(self.T[a]) @ self.T[b], self.covariances(b)[a]
-
-    def covariances(self, b: int) -> Array:
-        """Return the covariances of ``T_a_b`` for all a < b, (b, 6, 6)."""
-        if b not in self._to:
-            A = se3.adjoint(se3.inverse(self.T[b]) @ self.T[1 : b + 1])
-            each = A @ self._step @ np.swapaxes(A, -1, -2)
-            self._to[b] = np.cumsum(each[::-1], axis=0)[::-1].copy()
-        return self._to[b]
-
-    def sigma_world(self, b: int) -> Array:
-        """Return one-sigmas of the position of b relative to all a < b along odom's axes, (b, 3)."""
-        R = self.T[b][:3, :3]
-        S = R @ self.covariances(b)[:, 3:, 3:] @ R.T
-        return np.sqrt(np.einsum("nii->ni", S))
+    def as_keyframes(self) -> Iterator[Keyframe]:
+        """Yield what a run would keep of the walk: no IMU, and steps with the walk's covariance."""
+        for index, cloud in enumerate(self.keyframes.clouds):
+            yield Keyframe(
+                index=index, stamp_ns=10**9 * (index + 1), T_odom_imu=np.ascontiguousarray(self.T[index]),
+                v_odom=np.zeros(3), gyro_bias=np.zeros(3), accel_bias=np.zeros(3), g_odom=np.zeros(3),
+                step_covariance=self._step if index else np.zeros((6, 6)), lidar_information=np.zeros((6, 6)),
+                points_imu=cloud, intensity=None, imu=ImuBatch.joined([]),
+            )  # fmt: skip
 
 
 def read_keyframes(folder: Path) -> KeyframeSet:
@@ -160,36 +143,16 @@ def _along(corners: Sequence[tuple[float, float, float]], spacing: float = 1.0) 
     return np.array(rows)
 
 
-def _storey(z: float) -> Iterator[Primitive]:
-    """Yield three identical corridors and the two passages that join their ends."""
-    level = np.eye(3)
-    for height in (z, z + 2.8):
-        yield rectangle((20.0, _BETWEEN, height), (_LENGTH + 8.0, 2.0 * _BETWEEN + 4.0), level)
-    for k in range(3):
-        y = k * _BETWEEN
-        for side in (-1.0, 1.0):
-            yield box((20.0, y + side * 1.3, z + 1.4), (_LENGTH, 0.2, 2.8))
-        for x, side, width in ((5.0, 1, 0.4), (12.0, -1, 0.6), (19.0, 1, 0.9), (27.5, -1, 0.4), (34.0, 1, 0.6)):
-            yield box((x, y + side * 1.05, z + 1.2), (width, 0.3, 2.4))
-    for x in (-2.5, _LENGTH + 2.5):
-        yield box((x, _BETWEEN, z + 1.4), (0.2, 2.0 * _BETWEEN + 4.0, 2.8))
-    for k in range(2):
-        for x in (0.0, _LENGTH):
-            yield box((x, (k + 0.5) * _BETWEEN, z + 1.4), (0.2, _BETWEEN - 2.8, 2.8))
-    for y in (-2.0, 2.0 * _BETWEEN + 2.0):
-        yield box((20.0, y, z + 1.4), (_LENGTH + 5.0, 0.2, 2.8))
-
-
 def building(seed: int) -> KeyframeSet:
     """Walk two identical storeys of three identical corridors, and then the lower one again, both ways."""
     rng = np.random.default_rng([1, seed])
-    a, b, c = (k * _BETWEEN for k in range(3))
-    low, high, left, right = 1.2, 1.2 + _STOREY, -1.2, _LENGTH + 1.2
+    a, b, c = (k * STOREYS_PITCH for k in range(3))
+    low, high, left, right = 1.2, 1.2 + STOREYS_HEIGHT, -1.2, STOREYS_LENGTH + 1.2
     first = [(left, a), (right, a), (right, b), (left, b), (left, c), (right, c)]
     corners = [(x, y, low) for x, y in first] + [(x, y, high) for x, y in reversed(first)]
     corners += [(left, a, low), (right, a, low), (right, b, low), (left, b, low), (left, a, low), (right, a, low)]
     corners += [(right, c, low), (left, c, low)]
-    world = SimulatedWorld([*_storey(0.0), *_storey(_STOREY)])
+    world = SimulatedWorld(list(storeys_world(rng)))
     return _walk("building", world, _along(corners), LidarModel(beams=32, columns=256, max_range=60.0), rng)
 
 

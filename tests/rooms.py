@@ -97,18 +97,18 @@ STOREYS: dict[str, dict[str, set[str]]] = {
         "registry": {"protocol", "filter"},
     },
     "slam": {
-        "transform": set(),
         "covariances": set(),
         "store": set(),
         "keyframes": {"covariances"},
-        "places": {"transform"},
-        "loops": {"places", "transform"},
+        "places": set(),
+        "loops": {"places"},
         "loop_search": {"covariances", "loops", "places", "store"},
         "pose_factors": set(),
         "inertial_factors": set(),
         "back_end": {"covariances", "inertial_factors", "loop_search", "loops", "pose_factors", "store"},
         "graph_files": {"back_end", "loops", "store"},
-        "session": {"back_end", "graph_files", "keyframes", "store"},
+        "given_poses": {"loops"},
+        "session": {"back_end", "given_poses", "graph_files", "keyframes", "store"},
     },
 }
 """The same inside the rooms that have storeys; their ``__init__`` may import all of them."""

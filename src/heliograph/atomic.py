@@ -12,7 +12,7 @@ from pathlib import Path
 
 from heliograph.errors import OutputError
 
-__all__ = ["atomic_path", "check_output_directory", "output_error", "output_errors", "write_text"]
+__all__ = ["atomic_folder", "atomic_path", "check_output_directory", "output_error", "output_errors", "write_text"]
 
 _REMEDIES = {
     errno.ENOSPC: "the disk is full; free some space or choose another folder with -o",
@@ -81,6 +81,35 @@ def atomic_path(path: Path | str) -> Iterator[Path]:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
+
+
+@contextmanager
+def atomic_folder(path: Path | str) -> Iterator[Path]:
+    """Yield a temporary folder inside of ``path``; its files take their places in ``path`` when the block ends well.
+
+    On any exception the temporary folder is removed and ``path`` stays as it was: files that belong together are
+    written all, or none. A power loss between the renames, which take no room, is the only way to have some.
+
+    Parameters
+    ----------
+    path : Path or str
+        The folder, which exists.
+
+    Raises
+    ------
+    OutputError
+        For any `OSError` inside the block; names ``path`` and remedy.
+    """
+    path = Path(path)
+    with output_errors(path):
+        temporary = Path(tempfile.mkdtemp(prefix=".", suffix=".partial", dir=path))
+        try:
+            yield temporary
+            for file in sorted(temporary.iterdir()):
+                _adopt_default_mode(file)
+                file.replace(path / file.name)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _adopt_default_mode(path: Path) -> None:

@@ -94,7 +94,8 @@ def run(
 def back_end(folder: Path | None, config: RunConfig, sensors: frozenset[str]) -> Iterator[SlamSession | NoSlam]:
     """Yield the back-end of a run; without a LiDAR, or where it is switched off, one that does nothing."""
     if not config.slam.graph or "lidar" not in sensors:
-        yield NoSlam()
+        given = is_pose_file(config.odometry) and "lidar" in sensors
+        yield NoSlam(("nothing compared the poses of the file with the clouds (--no-graph)",) if given else ())
     elif folder is not None:
         yield SlamSession(folder, config, poses_given=is_pose_file(config.odometry))
     else:
@@ -280,6 +281,7 @@ class Account:
             interrupted=self.interrupted,
             blind=blind,
             budget=config.check.max_blind_growth,
+            doubts=slam.doubts,
         )
         return tally.summary(
             status=status,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.arrays import Array, freeze
-from heliograph.atomic import write_text
+from heliograph.atomic import atomic_folder, write_text
 from heliograph.config import RunConfig
 from heliograph.config_toml import load_config
 from heliograph.data import GraphAccount
@@ -22,6 +22,7 @@ from heliograph.io.files.clouds import write_cloud
 from heliograph.maps import GlobalMap
 from heliograph.output.facts import graph_facts
 from heliograph.output.final_poses import FinalPoses
+from heliograph.output.scan_log import rewrite_scans
 from heliograph.output.trajectories import FILES, rewrite
 from heliograph.slam import KEYFRAMES, BackEnd, KeyframeStore
 from heliograph.slam.graph_files import write_graph_files
@@ -31,6 +32,7 @@ from heliograph.slam.loops.ledger_file import read_ledger
 __all__ = ["RunGraph", "open_run_graph"]
 
 X = Symbol("X")
+_SCANS = "scans.csv"
 _IN_MAP = tuple(name for name in FILES if name != "odometry.tum")
 
 
@@ -94,29 +96,32 @@ class RunGraph:
         return self.ledger.add_by_hand(evidence)
 
     def resolve(self) -> GraphAccount:
-        """Solve the graph with the loops that stand, and write the run's files anew.
+        """Solve the graph with the loops that stand, and write the run's files anew: all of them, or none.
 
         The map is put together from the keyframes' clouds, which are thinner than the run's own.
 
         Raises
         ------
         OutputError
-            A file cannot be written.
+            A file cannot be written; the run is as it was.
         """
         back_end = BackEnd.replayed(self.config, self.store, self.ledger)
         T_new = back_end.T_map_imu if back_end.closed else _levelled(self.facts, back_end.chain.T_odom_imu)
         moved = FinalPoses(stamps_ns=back_end.chain.stamps_ns, T_odom_imu=self.T_map_imu, T_map_imu=T_new)
-        for name in _IN_MAP:
-            if (self.folder / name).is_file():
-                rewrite(self.folder / name, moved)
-        files = write_graph_files(self.folder, back_end)
-        self._write_map(T_new)
-        account = back_end.account(files=files)
-        facts = {**self.facts, "graph": graph_facts(account)}
-        write_text(self.folder / "run.json", json.dumps(facts, indent=2) + "\n")
+        with atomic_folder(self.folder) as folder:
+            for name in _IN_MAP:
+                if (self.folder / name).is_file():
+                    rewrite(self.folder / name, moved, folder / name)
+            account = back_end.account(files=write_graph_files(folder, back_end))
+            facts = {**self.facts, "graph": graph_facts(account), "map_points": self._write_map(folder, T_new)}
+            if (self.folder / _SCANS).is_file():
+                p = rewrite_scans(self.folder / _SCANS, moved, folder / _SCANS)
+                facts["start_end_gap_m"] = float(np.linalg.norm(p[-1] - p[0])) if len(p) else 0.0
+            write_text(folder / "run.json", json.dumps(facts, indent=2) + "\n")
         return account
 
-    def _write_map(self, T_map_imu: Array) -> None:
+    def _write_map(self, folder: Path, T_map_imu: Array) -> int:
+        """Write the map and return the number of its points."""
         output = self.config.output
         whole = GlobalMap(output.map_voxel)
         for keyframe, T in zip(self.store, T_map_imu, strict=True):
@@ -124,7 +129,8 @@ class RunGraph:
         points, intensity = whole.points(), whole.intensity()
         if output.surface_thickness > 0.0:
             points, intensity = whole.surfaces(output.surface_thickness)
-        write_cloud(self.folder / f"map.{output.map_format}", points, intensity)
+        write_cloud(folder / f"map.{output.map_format}", points, intensity)
+        return len(points)
 
 
 def open_run_graph(folder: Path | str) -> RunGraph:

@@ -107,8 +107,10 @@ class LoopConfig:
     max_blind : int
         Directions that the match may leave unseen.
     max_blur : float
-        Largest growth of the map's entropy by joining the local maps at the pose [nat], unless joining them where
-        odometry has them makes it grow more.
+        Largest growth of the map's entropy by joining the local maps at the pose [nat].
+    max_blur_ratio : float
+        A growth is no worse than that of joining them where odometry has them up to this ratio: local maps are bent,
+        and the growths of two poses differ by that. Where it is more than `max_blur`, this is the bound.
     window : float
         Loops whose queries lie within this way of each other make a sequence [m].
     min_sequence : int
@@ -149,6 +151,7 @@ class LoopConfig:
     min_lead: float = 1.15
     max_blind: int = 0
     max_blur: float = 0.25
+    max_blur_ratio: float = 1.25
     window: float = 20.0
     min_sequence: int = 2
     min_span: float = 2.0
@@ -179,3 +182,4 @@ class LoopConfig:
         check_range(self, "max_shift", "max_shift_up", "max_doubt", "max_doubt_up", above=0.0)
         check_range(self, "min_lead", low=1.0)
         check_range(self, "max_blur", "min_span", low=0.0)
+        check_range(self, "max_blur_ratio", low=1.0)

@@ -31,8 +31,6 @@ class SlamConfig:
         What the first pose's level may be off where the odometry does not tell [deg].
     loop_every : int
         Loops are looked for at every n-th keyframe, n being this.
-    loop_reach : float
-        Distance at which two keyframes may still show the same place [m].
     loop_worth : float
         Loops are looked for where odometry, and the loops that stand, leave the position open by at least this,
         one-sigma [m].
@@ -50,7 +48,6 @@ class SlamConfig:
     step_position_sigma: float = 0.001
     level_sigma_deg: float = 1.0
     loop_every: int = 2
-    loop_reach: float = 12.0
     loop_worth: float = 0.03
     pose_rotation_sigma_deg: float = 0.5
     pose_position_sigma: float = 0.05
@@ -58,6 +55,6 @@ class SlamConfig:
     def __post_init__(self) -> None:
         check_range(self, "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", "cloud_voxel", above=0.0)
         check_range(self, "step_rotation_sigma_deg", "step_position_sigma", "level_sigma_deg", above=0.0)
-        check_range(self, "loop_reach", "loop_worth", low=0.0)
+        check_range(self, "loop_worth", low=0.0)
         check_range(self, "loop_every", low=1)
         check_range(self, "pose_rotation_sigma_deg", "pose_position_sigma", above=0.0)

@@ -18,7 +18,7 @@ class GraphAccount:
         Loops that were looked at, that stand, that too little speaks for yet, that were refused, and that stood and
         were taken back.
     moved : float
-        How far the keyframe that the loops moved most was moved [m].
+        How far the keyframe that loops moved most lies from odometry, seen from the first one [m].
     files : tuple of str
         Names in the run's folder.
     """

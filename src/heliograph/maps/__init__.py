@@ -3,6 +3,16 @@
 from heliograph.maps.global_map import GlobalMap, MapCells
 from heliograph.maps.kd_tree import KdTreeMap
 from heliograph.maps.protocol import NEIGHBOURS, LocalMap, PlaneMatches
+from heliograph.maps.transform import transformed
 from heliograph.maps.voxel_map import VoxelMap
 
-__all__ = ["NEIGHBOURS", "GlobalMap", "KdTreeMap", "LocalMap", "MapCells", "PlaneMatches", "VoxelMap"]
+__all__ = [
+    "NEIGHBOURS",
+    "GlobalMap",
+    "KdTreeMap",
+    "LocalMap",
+    "MapCells",
+    "PlaneMatches",
+    "VoxelMap",
+    "transformed",
+]

@@ -77,7 +77,19 @@ class PoseFileOdometry(Odometry):
         return [result]
 
     def finish(self) -> list[ScanResult]:
-        """Say how many scans had no pose."""
+        """Say how many scans had no pose.
+
+        Raises
+        ------
+        DataError
+            None had one.
+        """
+        if self._left_out and self._before is None:
+            raise DataError(
+                f"none of the {self._left_out} scans has a pose in the file, which reaches from "
+                f"{1e-9 * self._trajectory.stamps_ns[0]:.3f} to {1e-9 * self._trajectory.stamps_ns[-1]:.3f} s; the "
+                f"first scan is of {1e-9 * self._first_left_ns:.3f} s: give the poses of this recording, in its time"
+            )
         if self._left_out:
             message = (
                 f"{self._left_out} scans have no pose in the file and are left out: it reaches from "

@@ -14,14 +14,13 @@ from heliograph.data import ScanResult
 from heliograph.errors import OutputError
 from heliograph.io.prefetch import prefetch
 from heliograph.lie import se3
-from heliograph.maps import GlobalMap
+from heliograph.maps import GlobalMap, transformed
 from heliograph.output.background import Background
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.submaps import Submap, SubmapFile, read_submaps
 
 __all__ = ["MapWriter"]
 
-_BLOCK = 8192  # points transformed at once
 _READ_AHEAD = 2  # submaps
 
 
@@ -91,7 +90,7 @@ class MapWriter:
             whole.merge(submap.cells, moved)
         points, intensity = self._averaged(whole)
         if rigid is not None and not np.array_equal(rigid, np.eye(4)):
-            points = _moved(points, rigid)
+            points = transformed(points, rigid)
         return points, intensity
 
     def release(self, *, keep: bool) -> bool:
@@ -156,12 +155,3 @@ class MapWriter:
 
     def _unfinished(self, keyframe: tuple[int, NDArray[np.float64]]) -> Submap:
         return Submap(stamp_ns=keyframe[0], T_odom_imu=keyframe[1], cells=self._open.cells())
-
-
-def _moved(points: NDArray[np.float32], T: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Transform points (N, 3), block by block: all at once, BLAS would start threads that then spin beside us."""
-    moved = np.empty_like(points)
-    for first in range(0, len(points), _BLOCK):
-        block = points[first : first + _BLOCK].astype(np.float64)
-        moved[first : first + _BLOCK] = block @ T[:3, :3].T + T[:3, 3]
-    return moved

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.data import OnlineCalibration, ScanResult
+from heliograph.errors import FormatError
 from heliograph.io.files.csvs import CsvWriter
 from heliograph.lie import so3
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.level import Level
 
-__all__ = ["ScanLog", "ScanTable"]
+__all__ = ["ScanLog", "ScanTable", "rewrite_scans"]
 
 _XYZ = ("x", "y", "z")
 _ASCENDING = ("min", "mid", "max")
@@ -235,6 +237,43 @@ class ScanLog:
         with CsvWriter(self.path, self._columns()) as writer:
             for number, (integers, row) in enumerate(zip(self._integers, floats, strict=True)):
                 writer.append(self._row(integers, row, number))
+
+
+def rewrite_scans(path: Path, final: FinalPoses, to: Path) -> NDArray[np.float64]:
+    """Write a run's ``scans.csv`` with its vectors where the scans have been after all; return the positions (N, 3).
+
+    Parameters
+    ----------
+    path : Path
+        The file as the run wrote it.
+    final : FinalPoses
+        Moves the file's frame.
+    to : Path
+        Where to write.
+
+    Raises
+    ------
+    FormatError
+        It is no ``scans.csv``.
+    """
+    with path.open(encoding="utf-8", newline="") as file:
+        reader = csv.DictReader(file)
+        columns, rows = tuple(reader.fieldnames or ()), list(reader)
+    try:
+        T = final.T_map_odom(np.array([int(row["end_ns"]) for row in rows], dtype=np.int64))
+        moved = np.zeros((0, 3))
+        for name in ODOM_VECTORS:
+            cells = [f"{name}_{axis}" for axis in _XYZ]
+            vectors = np.array([[float(row[cell] or "nan") for cell in cells] for row in rows]).reshape(-1, 3)
+            moved = np.einsum("nij,nj->ni", T[:, :3, :3], vectors) + (T[:, :3, 3] if name == "position" else 0.0)
+            for row, vector in zip(rows, moved, strict=True):
+                row |= {cell: repr(v) if v == v else "" for cell, v in zip(cells, _shortened(vector), strict=True)}
+    except (KeyError, ValueError, TypeError) as error:
+        raise FormatError(path, f"is no table of scans ({error}); run the recording again") from error
+    with CsvWriter(to, columns) as writer:
+        for row in rows:
+            writer.append(row)
+    return moved
 
 
 def sigmas(result: ScanResult) -> NDArray[np.float64]:

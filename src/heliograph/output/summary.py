@@ -127,6 +127,7 @@ def judge(
     interrupted: bool = False,
     blind: Iterable[BlindSpan] = (),
     budget: float = 0.0,
+    doubts: Iterable[str] = (),
 ) -> tuple[str, tuple[str, ...]]:
     """Decide how far a result is to be trusted, and say why.
 
@@ -144,6 +145,8 @@ def judge(
         Stretches along which one direction was not seen.
     budget : float
         One-sigma of position that such a stretch may cost [m].
+    doubts : iterable of str
+        What else speaks against the result, a sentence each.
 
     Returns
     -------
@@ -172,6 +175,7 @@ def judge(
         degraded.append(
             f"the IMU did not cover the end of {held / total:.0%} of the scans: check its clock and its gaps"
         )
+    degraded += doubts
     status = "lost" if lost else "degraded" if degraded else "ok"
     early = ("interrupted: the result covers the part that was read",) if interrupted else ()
     return status, (*lost, *degraded, *early)

@@ -115,14 +115,23 @@ class TrajectoryFiles:
             rewrite(path, FinalPoses.moved_by(T_leveled_odom) if path.name == _ODOMETRY else final)
 
 
-def rewrite(path: Path, final: FinalPoses) -> None:
-    """Write a TUM file anew with each pose where it has been after all, block by block; all of it or nothing."""
+def rewrite(path: Path, final: FinalPoses, to: Path | None = None) -> None:
+    """Write a TUM file anew with each pose where it has been after all, block by block; all of it or nothing.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    final : FinalPoses
+    to : Path, optional
+        Where to write; by default the file itself, which is left alone where nothing moved.
+    """
     rigid = final.rigid
-    if rigid is not None and np.array_equal(rigid, np.eye(4)):
+    if to is None and rigid is not None and np.array_equal(rigid, np.eye(4)):
         return
     with path.open(encoding="utf-8") as file:
         header = file.readline().lstrip("# ").strip()
-        with atomic_path(path) as temporary, TumWriter(temporary, header) as writer:
+        with atomic_path(to or path) as temporary, TumWriter(temporary, header) as writer:
             while lines := list(itertools.islice(file, _BLOCK)):
                 rows = [line.split() for line in lines]
                 stamps_ns = np.array([parse_seconds(row[0]) for row in rows], dtype=np.int64)

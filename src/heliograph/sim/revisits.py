@@ -11,7 +11,15 @@ from heliograph.lie import so3
 from heliograph.sim.trajectory import Course
 from heliograph.sim.world import Primitive, Surface, box, cylinder, rectangle
 
-__all__ = ["campus_course", "campus_world", "storeys_course", "storeys_world"]
+__all__ = [
+    "STOREYS_HEIGHT",
+    "STOREYS_LENGTH",
+    "STOREYS_PITCH",
+    "campus_course",
+    "campus_world",
+    "storeys_course",
+    "storeys_world",
+]
 
 _ASPHALT = Surface(reflectivity=0.18, contrast=0.3, period=1.1)
 _BRICK = Surface(reflectivity=0.4, contrast=0.35, period=0.6)
@@ -25,7 +33,8 @@ _WEST, _MIDDLE, _EAST, _SOUTH, _NORTH = 0.0, 150.0, 300.0, 0.0, 120.0
 _EYE = 1.6
 
 # The building: two equal storeys, each with three equal corridors along x between two halls.
-_CORRIDOR, _PITCH, _WIDTH, _STOREY, _DOOR = 40.0, 10.0, 2.4, 3.6, 5.0
+STOREYS_LENGTH, STOREYS_PITCH, STOREYS_HEIGHT = 40.0, 10.0, 3.6
+_WIDTH = 2.4
 _HALL = 7.0
 
 
@@ -85,9 +94,9 @@ def _yaw(angle: float) -> NDArray[np.float64]:
 
 def storeys_course() -> Course:
     """Return a way through all corridors of both storeys, over the ramp between them, and around the building twice."""
-    low, high = _EYE, _EYE + _STOREY
-    west, east = -_HALL / 2.0, _CORRIDOR + _HALL / 2.0
-    y0, y1, y2 = 0.0, _PITCH, 2.0 * _PITCH
+    low, high = _EYE, _EYE + STOREYS_HEIGHT
+    west, east = -_HALL / 2.0, STOREYS_LENGTH + _HALL / 2.0
+    y0, y1, y2 = 0.0, STOREYS_PITCH, 2.0 * STOREYS_PITCH
     inside = [(20.0, y0), (east, y0), (east, y1), (west, y1), (west, y2), (east, y2)]
     lower = [(x, y, low) for x, y in inside]
     ramp = [(east + 4.0, y2, low), (east + 4.0, y0 - 4.0, high), (east, y0 - 4.0, high)]
@@ -99,27 +108,27 @@ def storeys_course() -> Course:
 def storeys_world(rng: np.random.Generator) -> Iterator[Primitive]:
     """Yield two storeys that are alike to the last niche; only the ramps outside tell where one is."""
     doors = [(float(x), side) for x, side in zip(rng.uniform(4.0, 36.0, 6), rng.choice([-1.0, 1.0], 6), strict=True)]
-    outer = (-_HALL, _CORRIDOR + _HALL)
+    outer = (-_HALL, STOREYS_LENGTH + _HALL)
     middle, span = (outer[0] + outer[1]) / 2.0, outer[1] - outer[0]
-    yield rectangle((middle, _PITCH, -0.01), (span + 90.0, 110.0), _LEVEL, _ASPHALT)
+    yield rectangle((middle, STOREYS_PITCH, -0.01), (span + 90.0, 110.0), _LEVEL, _ASPHALT)
     for storey in (0, 1):
-        z = storey * _STOREY
-        for floor in (z, z + _STOREY - 0.3):
-            yield box((middle, _PITCH, floor - 0.05), (span, 2.0 * _PITCH + 12.0, 0.1), None, _PANEL)
+        z = storey * STOREYS_HEIGHT
+        for floor in (z, z + STOREYS_HEIGHT - 0.3):
+            yield box((middle, STOREYS_PITCH, floor - 0.05), (span, 2.0 * STOREYS_PITCH + 12.0, 0.1), None, _PANEL)
         for k in range(3):
-            y = k * _PITCH
+            y = k * STOREYS_PITCH
             for side in (-1.0, 1.0):
                 wall = y + side * (_WIDTH / 2.0 + 0.1)
-                yield box((_CORRIDOR / 2.0, wall, z + 1.65), (_CORRIDOR, 0.2, 3.3), None, _PANEL)
+                yield box((STOREYS_LENGTH / 2.0, wall, z + 1.65), (STOREYS_LENGTH, 0.2, 3.3), None, _PANEL)
             for x, side in doors:  # the same in each corridor
                 yield box((x, y + side * _WIDTH / 2.0, z + 1.05), (0.95, 0.12, 2.1), None, _WOOD)
         yield box((-1.0, -_WIDTH - 1.2, z + 1.0), (0.6, 1.5, 2.0), None, _STEEL)
-        yield box((_CORRIDOR + 1.0, 2.0 * _PITCH + 3.0, z + 1.0), (0.6, 1.5, 2.0), None, _STEEL)
-    for x in (_CORRIDOR + _HALL + 3.0, -_HALL - 3.0):
-        slope = np.arctan2(_STOREY, 2.0 * _PITCH + 4.0)
+        yield box((STOREYS_LENGTH + 1.0, 2.0 * STOREYS_PITCH + 3.0, z + 1.0), (0.6, 1.5, 2.0), None, _STEEL)
+    for x in (STOREYS_LENGTH + _HALL + 3.0, -_HALL - 3.0):
+        slope = np.arctan2(STOREYS_HEIGHT, 2.0 * STOREYS_PITCH + 4.0)
         R = so3.from_rpy(-slope if x > 0.0 else slope, 0.0, 0.0)
-        yield rectangle((x, _PITCH - 2.0, _STOREY / 2.0), (5.0, 2.0 * _PITCH + 4.0), R, _ASPHALT)
+        yield rectangle((x, STOREYS_PITCH - 2.0, STOREYS_HEIGHT / 2.0), (5.0, 2.0 * STOREYS_PITCH + 4.0), R, _ASPHALT)
     for _ in range(30):
         angle, reach = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(45.0, 70.0)
-        at = (20.0 + reach * float(np.cos(angle)), _PITCH + reach * float(np.sin(angle)))
+        at = (20.0 + reach * float(np.cos(angle)), STOREYS_PITCH + reach * float(np.sin(angle)))
         yield _house(at, tuple(rng.uniform((4.0, 4.0, 3.0), (10.0, 9.0, 9.0)).tolist()), float(rng.uniform(0.0, 3.0)))

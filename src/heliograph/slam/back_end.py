@@ -16,7 +16,7 @@ from heliograph.graph import ISAM2, Between, Covariance, FactorGraph, Symbol, Va
 from heliograph.lie import SE3, se3
 from heliograph.slam.covariances import OdometryChain
 from heliograph.slam.inertial_factors import InertialFactors
-from heliograph.slam.loop_search import LoopSearch
+from heliograph.slam.loop_search import Candidate, LoopSearch
 from heliograph.slam.loops import Ledger, LedgerEntry, LoopEvidence
 from heliograph.slam.pose_factors import PoseFactors
 from heliograph.slam.store import KeyframeStore
@@ -38,6 +38,9 @@ class GraphUpdate:
         The back-end's only word to the front: where odom lies in the map at the last keyframe.
     loops : tuple of LedgerEntry
         Candidates that are new or were decided anew.
+    candidates : tuple of int
+        Earlier keyframes that were taken for the same place, the most promising first, whether or not they were looked
+        at.
     moved : float
         How far the keyframe that moved most was moved [m].
     events : tuple of Event
@@ -46,6 +49,7 @@ class GraphUpdate:
 
     T_map_odom: NDArray[np.float64]
     loops: tuple[LedgerEntry, ...]
+    candidates: tuple[int, ...]
     moved: float
     events: tuple[Event, ...]
 
@@ -74,7 +78,6 @@ class BackEnd:
         self._factors: InertialFactors | PoseFactors | None = None
         self._before: Keyframe | None = None
         self._in_force: dict[int, int] = {}  # number in the ledger -> number of its factor in the smoother
-        self._moved = 0.0
 
     @classmethod
     def replayed(cls, config: RunConfig, store: KeyframeStore, ledger: Ledger) -> BackEnd:
@@ -83,15 +86,12 @@ class BackEnd:
         for keyframe in store:
             back_end.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
             back_end._smoother.update(*back_end._step(keyframe))
-        before = back_end.T_map_imu
-        back_end._enforce(ledger.accepted())
-        back_end._moved = _furthest(before, back_end.T_map_imu)
+        back_end._enforce()
         return back_end
 
     def compare(self, query: int, match: int) -> LoopEvidence:
         """Register two keyframes from where the graph and the odometry have them."""
-        T = self.T_map_imu
-        return self._search.verified(query, self._search.by_hand(query, match, T), T)
+        return self._search.verified(query, Candidate(match=match), self.T_map_imu)
 
     def add(self, keyframe: Keyframe) -> GraphUpdate:
         """Take the next keyframe into the graph."""
@@ -99,16 +99,20 @@ class BackEnd:
         self.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
         graph, values = self._step(keyframe)  # (2) where it starts, (3) what odometry and IMU say of the step
         self._smoother.update(graph, values)  # (4)
-        before = self.T_map_imu
         changed: list[LedgerEntry] = []
-        if self._config.slam.loops:
-            for candidate in self._search.candidates(keyframe.index, before):  # (5) who looks like it
+        candidates: tuple[Candidate, ...] = ()
+        before: Array | None = None
+        if self._config.slam.loops and self._search.due(keyframe.index):
+            before = self.T_map_imu
+            candidates = self._search.candidates(keyframe.index, before)  # (5) who looks like it
+            for candidate in candidates:
                 evidence = self._search.verified(keyframe.index, candidate, before)  # (6) does it match
                 changed += self.ledger.add(evidence, self.chain.relative)  # (7) is it to be believed
                 if changed[-1].decision.verdict != "rejected":
                     break
-        changed += self._enforce(changed)  # (8) smooth with the accepted, take back what the solution contradicts
-        return self._word(keyframe, before, tuple(changed))  # (9)
+        if changed:
+            changed += self._enforce()  # (8) smooth with the accepted, take back what the solution contradicts
+        return self._word(keyframe, before, tuple(changed), tuple(c.match for c in candidates))  # (9)
 
     @property
     def T_map_imu(self) -> Array:
@@ -119,6 +123,14 @@ class BackEnd:
     def covariance(self, index: int) -> Array:
         """Return the covariance of a keyframe's pose, right perturbation (6, 6); the first defines the frame."""
         return np.asarray(self._smoother.covariance(X(index))[:6, :6])
+
+    @property
+    def moved(self) -> float:
+        """How far loops have moved the keyframe that lies furthest from odometry, seen from the first one [m]."""
+        if not self.closed:
+            return 0.0
+        T = self.T_map_imu
+        return _furthest(T[0] @ se3.inverse(self.chain.pose(0)) @ self.chain.T_odom_imu, T)
 
     @property
     def closed(self) -> bool:
@@ -142,7 +154,7 @@ class BackEnd:
             rejected=verdicts.count("rejected"),
             held=verdicts.count("held"),
             revoked=verdicts.count("revoked"),
-            moved=self._moved,
+            moved=self.moved,
             files=files,
         )
 
@@ -160,13 +172,11 @@ class BackEnd:
         self._before = keyframe
         return graph, values
 
-    def _enforce(self, changed: Sequence[LedgerEntry]) -> list[LedgerEntry]:
-        """Bring the ledger's decisions into the graph, and return what the solution makes of them."""
-        news = [
-            entry for entry in changed if entry.decision.verdict == "accepted" and entry.number not in self._in_force
-        ]
-        gone = [self._in_force.pop(entry.number) for entry in changed
-                if entry.decision.verdict == "revoked" and entry.number in self._in_force]  # fmt: skip
+    def _enforce(self) -> list[LedgerEntry]:
+        """Bring the graph to what the ledger says now, and return what the solution makes of it."""
+        standing = {entry.number: entry for entry in self.ledger.accepted()}
+        news = [entry for number, entry in standing.items() if number not in self._in_force]
+        gone = [self._in_force.pop(number) for number in list(self._in_force) if number not in standing]
         if not news and not gone:
             return []
         graph = FactorGraph()
@@ -192,15 +202,15 @@ class BackEnd:
             self._smoother.update(remove=[self._in_force.pop(worst)], iterate=_CONVERGED)
         return revoked
 
-    def _word(self, keyframe: Keyframe, before: Array, changed: tuple[LedgerEntry, ...]) -> GraphUpdate:
-        T, moved = before, 0.0
-        if changed:
-            T = self.T_map_imu
-            moved = _furthest(before, T)
-            self._moved = max(self._moved, moved)
+    def _word(
+        self, keyframe: Keyframe, before: Array | None, changed: tuple[LedgerEntry, ...], candidates: tuple[int, ...]
+    ) -> GraphUpdate:
+        moved = _furthest(before, self.T_map_imu) if changed and before is not None else 0.0
+        T_map_imu = self._smoother.estimate(X(keyframe.index)).matrix[:4, :4]
         return GraphUpdate(
-            T_map_odom=T[-1] @ se3.inverse(keyframe.T_odom_imu),
+            T_map_odom=T_map_imu @ se3.inverse(keyframe.T_odom_imu),
             loops=changed,
+            candidates=candidates,
             moved=moved,
             events=_events(keyframe, changed, moved),
         )

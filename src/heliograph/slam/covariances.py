@@ -6,10 +6,13 @@ about body axes and a position along odom axes.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.arrays import Array, Stamps
-from heliograph.lie import se3
+from heliograph.lie import se3, so3
 
 __all__ = ["OdometryChain", "graph_covariance", "graph_information", "step_covariance"]
 
@@ -60,54 +63,103 @@ def step_covariance(T_before: Array, T_after: Array, before: Array, after: Array
     return np.asarray(kept / scale[:, None] / scale + np.diag(least**2))
 
 
+class _Rows:
+    """An array that grows by rows: all of them are there as one array at any time."""
+
+    def __init__(self, *shape: int, dtype: type = float) -> None:
+        self._array: NDArray[Any] = np.zeros((64, *shape), dtype=dtype)
+        self._count = 0
+
+    def append(self, row: Array | int) -> None:
+        if self._count == len(self._array):
+            self._array = np.concatenate([self._array, np.zeros_like(self._array)])
+        self._array[self._count] = row
+        self._count += 1
+
+    @property
+    def all(self) -> NDArray[Any]:
+        """A view that later rows do not reach."""
+        return self._array[: self._count]
+
+
 class OdometryChain:
     """How uncertain the odometry leaves the way from any keyframe to any other: the steps between add up."""
 
     def __init__(self) -> None:
-        self._stamps: list[int] = []
-        self._poses: list[Array] = []
-        self._steps: list[Array] = []
-        self._sums: list[Array] = []  # of left perturbations in odom, from the first keyframe on
+        self._stamps = _Rows(dtype=np.int64)
+        self._poses, self._steps = _Rows(4, 4), _Rows(6, 6)
+        self._sums = _Rows(6, 6)  # of left perturbations in odom, from the first keyframe on
 
     def __len__(self) -> int:
-        return len(self._poses)
+        return len(self._poses.all)
 
     def append(self, stamp_ns: int, T_odom_imu: Array, step: Array) -> None:
         """Add a keyframe's time [ns] and pose (4, 4), and the covariance of the step to it (6, 6)."""
         Ad = se3.adjoint(T_odom_imu)
-        last = self._sums[-1] if self._sums else np.zeros((6, 6))
+        last = self._sums.all[-1] if len(self) else np.zeros((6, 6))
+        self._sums.append(last + Ad @ step @ Ad.T)
         self._stamps.append(stamp_ns)
         self._steps.append(step)
-        self._poses.append(np.asarray(T_odom_imu))
-        self._sums.append(last + Ad @ step @ Ad.T)
+        self._poses.append(T_odom_imu)
 
     @property
     def stamps_ns(self) -> Stamps:
         """All times, (K,) [ns]."""
-        return np.array(self._stamps, dtype=np.int64)
+        return self._stamps.all
 
     @property
     def step_covariances(self) -> Array:
         """Covariances of the steps to each keyframe, (K, 6, 6); that of the first is zero."""
-        return np.stack(self._steps) if self._steps else np.zeros((0, 6, 6))
+        return self._steps.all
 
     @property
     def T_odom_imu(self) -> Array:
         """All poses, (K, 4, 4)."""
-        return np.stack(self._poses) if self._poses else np.zeros((0, 4, 4))
+        return self._poses.all
 
     def pose(self, index: int) -> Array:
         """Return a keyframe's pose (4, 4)."""
-        return self._poses[index]
+        return np.asarray(self._poses.all[index])
 
     def relative(self, i: int, j: int) -> tuple[Array, Array]:
         """Return ``T_i_j`` (4, 4) by the odometry, and the covariance of a right perturbation of it (6, 6)."""
-        T = se3.inverse(self._poses[i]) @ self._poses[j]
-        return np.asarray(T), self.relative_covariances(j, np.array([i]))[0]
+        Ad = se3.adjoint(se3.inverse(self.pose(j)))
+        between = self._sums.all[j] - self._sums.all[i]
+        return np.asarray(se3.inverse(self.pose(i)) @ self.pose(j)), np.asarray(
+            Ad @ (between if i <= j else -between) @ Ad.T
+        )
 
-    def relative_covariances(self, j: int, others: np.ndarray) -> Array:
-        """Return the covariances of right perturbations of ``T_i_j`` for each keyframe i, (N, 6, 6)."""
-        Ad = se3.adjoint(se3.inverse(self._poses[j]))
-        sums = np.stack([self._sums[int(i)] for i in others])
-        between = np.where((others <= j)[:, None, None], self._sums[j] - sums, sums - self._sums[j])
-        return np.asarray(Ad @ between @ Ad.T)
+    def variances(self, here: int, j: int, first: int, last: int) -> Array:
+        """Return what the way from keyframes ``first`` to ``last`` - 1 to j leaves open, seen at another, (N, 6).
+
+        Parameters
+        ----------
+        here : int
+            Keyframe whose position the errors are carried to: a turn moves what is far from where it happened.
+        j, first, last : int
+            Keyframes.
+
+        Returns
+        -------
+        (N, 6) float64
+            Variances of rotation and position about and along odom's axes [rad^2, m^2].
+        """
+        weights = _axis_weights(self.pose(here)[:3, 3])
+        sums = self._sums.all
+        return np.asarray(np.abs(sums[first:last].reshape(-1, 36) @ weights - sums[j].reshape(36) @ weights))
+
+    def variances_of(self, here: int, at: int, covariance: Array) -> Array:
+        """Return the variances (6,) as `variances` does, of a right perturbation (6, 6) of a keyframe's pose."""
+        Ad = se3.adjoint(self.pose(at))
+        return np.asarray((Ad @ covariance @ Ad.T).reshape(36) @ _axis_weights(self.pose(here)[:3, 3]))
+
+
+def _axis_weights(p_odom: Array) -> Array:
+    """Return (36, 6): a covariance of left perturbations times it gives the variances of rotation and position there.
+
+    With d the perturbation, a point p moves by ``d_position - hat(p) d_rotation``; its variance along an axis is linear
+    in the covariance, and so is one product for any number of them.
+    """
+    J = np.eye(6)
+    J[3:, :3] = -so3.hat(p_odom)
+    return np.asarray(np.einsum("ai,aj->ija", J, J).reshape(36, 6))

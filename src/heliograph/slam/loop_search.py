@@ -11,13 +11,22 @@ from heliograph.arrays import Array, Mask, Points, freeze
 from heliograph.config import LoopConfig, PlacesConfig, SlamConfig
 from heliograph.lie import se3
 from heliograph.slam.covariances import OdometryChain
-from heliograph.slam.loops import LocalMaps, LoopEvidence, LoopStart, local_map, loop_align_config, verify
+from heliograph.slam.loops import (
+    LocalMaps,
+    LoopEvidence,
+    LoopStart,
+    RelativePose,
+    local_map,
+    loop_align_config,
+    rank_places,
+    verify,
+    within_reach,
+)
 from heliograph.slam.places import body_guess, level_points, make_detector
 from heliograph.slam.store import KeyframeStore
 
 __all__ = ["Candidate", "LoopSearch"]
 
-_SIGMAS = 3.0  # of the position, that a place may lie off
 _REMEMBERED = 8  # latest loops by which the graph may know the way
 _PULLED_IN = 0.3  # a position known so well needs no detector: registration finds the rest [m], one-sigma
 _TURNED_IN = np.radians(3.0)  # the same of rotation
@@ -31,7 +40,7 @@ _ANCHOR = 5  # of places known so well every fifth keyframe is matched with: nei
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """An earlier keyframe that may show the same place, and guesses of the query's pose in it.
+    """An earlier keyframe that may show the same place, and guesses of the query's pose in it beside the graph's.
 
     Parameters
     ----------
@@ -42,8 +51,8 @@ class Candidate:
     """
 
     match: int
-    score: float
-    starts: tuple[LoopStart, ...]
+    score: float = float("nan")
+    starts: tuple[LoopStart, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -87,6 +96,15 @@ class LoopSearch:
         """Take note of the loops that stand: by them the graph knows the way."""
         self._standing = tuple(loops)[-_REMEMBERED:]
 
+    def due(self, query: int) -> bool:
+        """Whether loops are to be looked for at the newest keyframe; brings the descriptors up to date besides."""
+        if query <= self._config.apart:
+            return False
+        sigma = np.sqrt(self._chain.variances(query, query, 0, 1)[0, 3:].max())
+        if sigma > 0.5 * _PULLED_IN:
+            self._describe(query)  # a detector will be needed soon
+        return query % self._slam.loop_every == 0 and bool(sigma >= self._slam.loop_worth)
+
     def candidates(self, query: int, T_map_imu: Array) -> tuple[Candidate, ...]:
         """Return the places to look at for the newest keyframe, the most promising first.
 
@@ -99,70 +117,55 @@ class LoopSearch:
         T_map_imu : (K, 4, 4) float64
             Poses of all keyframes as the graph has them now.
         """
-        count = max(0, query - self._config.apart)
-        if count and self._variances(query, np.zeros(1, np.int64))[0, 0] > (0.5 * _PULLED_IN) ** 2:
-            self._describe(query)  # a detector will be needed soon
-        if count == 0 or query % self._slam.loop_every:
-            return ()
+        count = query - self._config.apart
         odometry, known = self._open(query, count)
-        away = np.minimum(_distances(self._chain.T_odom_imu, query, count), _distances(T_map_imu, query, count))
-        reach = away <= self._slam.loop_reach + _SIGMAS * odometry[:, 0]
-        worth = odometry[:, 0] >= self._slam.loop_worth
-        sure = (known[:, 0] <= _PULLED_IN) & (known[:, 1] <= _TURNED_IN)
-        near = np.flatnonzero(reach & worth & sure & (_distances(T_map_imu, query, count) <= self._slam.loop_reach))
+        p_odom, p_map = self._chain.T_odom_imu[:, :3, 3], T_map_imu[:, :3, 3]
+        by_graph = within_reach(p_map[query], p_map[:count], known[:, 3:], self._config)
+        worth = odometry[:, 3:].max(axis=1) >= self._slam.loop_worth
+        sure = (known[:, 3:].max(axis=1) <= _PULLED_IN) & (known[:, :3].max(axis=1) <= _TURNED_IN)
+        near = np.flatnonzero(by_graph & worth & sure)
         found = self._nearest(query, near, T_map_imu) if len(near) else []
-        if (unsure := reach & worth & ~sure).any():
+        by_odometry = within_reach(p_odom[query], p_odom[:count], odometry[:, 3:], self._config)
+        if (unsure := (by_graph | by_odometry) & worth & ~sure).any():
             found += self._alike(query, unsure, T_map_imu)
         return tuple(found)
 
-    def by_hand(self, query: int, match: int, T_map_imu: Array) -> Candidate:
-        """Return the candidate that a person names."""
-        start = self._by_graph(query, match, T_map_imu)
-        hand = LoopStart(source="hand", T_match_query=start.T_match_query)
-        return Candidate(match=match, score=float("nan"), starts=(hand,))
-
     def verified(self, query: int, candidate: Candidate, T_map_imu: Array) -> LoopEvidence:
-        """Register the query against a candidate from its guesses and the graph's, and return the evidence."""
-
-        def relative(a: int, b: int) -> tuple[Array, Array]:
-            return self._relative(a, b, T_map_imu)
-
+        """Register the query against a candidate from the graph's pose and its guesses, and return the evidence."""
         return verify(
-            query, candidate.match, self._maps, candidate.starts, relative, newest=query,
+            query, candidate.match, self._maps, candidate.starts, self._relative(T_map_imu), newest=query,
             config=self._config, score=candidate.score,
         )  # fmt: skip
 
-    def _relative(self, a: int, b: int, T_map_imu: Array) -> tuple[Array, Array]:
+    def _relative(self, T_map_imu: Array) -> RelativePose:
         """Return ``T_a_b`` as the graph has it, and its covariance by odometry or over the loop that knows it best."""
-        T, covariance = self._chain.relative(a, b)
-        if b - a < self._config.apart or not self._standing:
-            return T, covariance
-        for loop in self._standing:
-            T_q_b, after = self._chain.relative(loop.query, b)
-            _, before = self._chain.relative(a, loop.match)
-            to_query, to_b = se3.adjoint(se3.inverse(loop.T_match_query)), se3.adjoint(se3.inverse(T_q_b))
-            over = after + to_b @ (loop.covariance + to_query @ before @ to_query.T) @ to_b.T
-            if np.trace(over[3:, 3:]) < np.trace(covariance[3:, 3:]):
-                covariance = over
-        return np.ascontiguousarray(se3.inverse(T_map_imu[a]) @ T_map_imu[b]), np.asarray(covariance)
+
+        def relative(a: int, b: int) -> tuple[Array, Array]:
+            T, covariance = self._chain.relative(a, b)
+            if b - a < self._config.apart or not self._standing:
+                return T, covariance
+            for loop in self._standing:
+                T_q_b, after = self._chain.relative(loop.query, b)
+                _, before = self._chain.relative(a, loop.match)
+                to_query, to_b = se3.adjoint(se3.inverse(loop.T_match_query)), se3.adjoint(se3.inverse(T_q_b))
+                over = after + to_b @ (loop.covariance + to_query @ before @ to_query.T) @ to_b.T
+                if np.trace(over[3:, 3:]) < np.trace(covariance[3:, 3:]):
+                    covariance = over
+            return np.ascontiguousarray(se3.inverse(T_map_imu[a]) @ T_map_imu[b]), np.asarray(covariance)
+
+        return relative
 
     def _open(self, query: int, count: int) -> tuple[Array, Array]:
-        """Return what odometry leaves open of each keyframe's pose against the query's, and the graph with its loops.
+        """Return what odometry leaves open of the query's pose against each keyframe, and the graph with its loops.
 
-        Both are (count, 2): largest one-sigma of position [m] and rotation [rad].
+        Both are (count, 6): one-sigmas of rotation and position about and along odom's axes [rad], [m].
         """
-        odometry = self._variances(query, np.arange(count))
-        known = odometry
+        odometry = known = self._chain.variances(query, query, 0, count)
         for loop in self._standing:
-            between = np.array([np.linalg.eigvalsh(loop.covariance[k, k])[-1] for k in (slice(3, 6), slice(0, 3))])
-            detour = self._variances(query, np.array([loop.query])) + between
-            known = np.minimum(known, detour + self._variances(loop.match, np.arange(count)))
+            detour = self._chain.variances(query, query, loop.query, loop.query + 1)
+            detour = detour + self._chain.variances_of(query, loop.query, loop.covariance)
+            known = np.minimum(known, detour + self._chain.variances(query, loop.match, 0, count))
         return np.sqrt(odometry), np.sqrt(known)
-
-    def _variances(self, query: int, others: np.ndarray) -> Array:
-        covariances = self._chain.relative_covariances(query, others)
-        position = np.linalg.eigvalsh(covariances[:, 3:, 3:])[:, -1]
-        return np.maximum(np.stack([position, np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1]], axis=1), 0.0)
 
     def _nearest(self, query: int, near: np.ndarray, T_map_imu: Array) -> list[Candidate]:
         """Return the places that should share most with the query: near by, and seen in the same direction."""
@@ -171,10 +174,7 @@ class LoopSearch:
         apart = np.linalg.norm(T_map_imu[some, :3, 3] - T_map_imu[query, :3, 3], axis=1)
         turned = 1.0 - np.einsum("nij,ij->n", T_map_imu[some, :3, :3], T_map_imu[query, :3, :3]) / 3.0
         best = some[np.argsort(apart + _TURNED_APART * turned, kind="stable")[:_TRIED]]
-        return [
-            Candidate(match=int(k), score=float("nan"), starts=(self._by_graph(query, int(k), T_map_imu),))
-            for k in best
-        ]
+        return [Candidate(match=int(k)) for k in best]
 
     def _alike(self, query: int, allowed: Mask, T_map_imu: Array) -> list[Candidate]:
         indices = np.array(self._described, dtype=np.int64)
@@ -183,13 +183,14 @@ class LoopSearch:
         mask[old] = allowed[indices[old]]
         if not mask.any():
             return []
+        places = self._detector.query(self._level(query), allowed=mask, top=self._config.placed)
         found = []
-        for place in self._detector.query(self._level(query), allowed=mask, top=self._config.candidates):
-            starts = [self._by_graph(query, place.index, T_map_imu)]
-            if not place.yaw_only:
-                poses = self._chain.pose(place.index), self._chain.pose(query)
-                starts.append(LoopStart(source="place", T_match_query=body_guess(place.T_match_query, *poses)))
-            found.append(Candidate(match=place.index, score=place.score, starts=tuple(starts)))
+        for place in rank_places(query, places, self._clouds, self._relative(T_map_imu), self._config):
+            poses = self._chain.pose(place.index), self._chain.pose(query)
+            start = LoopStart(source="place", T_match_query=body_guess(place.T_match_query, *poses))
+            # A turn alone says nothing of the position: the graph's own start has the better one.
+            starts = () if place.yaw_only else (start,)
+            found.append(Candidate(match=place.index, score=place.score, starts=starts))
         return found
 
     def _describe(self, query: int) -> None:
@@ -203,11 +204,3 @@ class LoopSearch:
         first = max(0, index - self._config.before)
         points = local_map(self._clouds, index, range(first, index + 1))
         return level_points(points[:: 1 + len(points) // _MAX_POINTS], self._chain.pose(index))
-
-    def _by_graph(self, query: int, match: int, T_map_imu: Array) -> LoopStart:
-        T = np.ascontiguousarray(se3.inverse(T_map_imu[match]) @ T_map_imu[query])
-        return LoopStart(source="graph", T_match_query=T)
-
-
-def _distances(T: Array, query: int, count: int) -> Array:
-    return np.asarray(np.linalg.norm(T[:count, :3, 3] - T[query, :3, 3], axis=1))

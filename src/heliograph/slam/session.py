@@ -14,6 +14,7 @@ from heliograph.arrays import Array
 from heliograph.config import RunConfig
 from heliograph.data import Event, GraphAccount, ImuBatch, Message, ScanResult
 from heliograph.slam.back_end import BackEnd
+from heliograph.slam.given_poses import GivenPoses
 from heliograph.slam.graph_files import write_graph_files
 from heliograph.slam.keyframes import KeyframeSelector
 from heliograph.slam.store import KeyframeStore
@@ -57,6 +58,7 @@ class SlamSession:
         config = replace(config, slam=replace(config.slam, loop_every=1)) if poses_given else config
         self.events: list[Event] = []
         self._folder = folder if kept else None
+        self._given = GivenPoses(config.loops) if poses_given else None
         self._selector = KeyframeSelector(config.slam, poses_given=poses_given)
         self.store = KeyframeStore.create(folder / KEYFRAMES)
         self.back_end = BackEnd(config, self.store)
@@ -70,8 +72,16 @@ class SlamSession:
         """Take the results that a message made ready."""
         for result in results:
             keyframe = self._selector.add(result)
-            if keyframe is not None:
-                self.events += self.back_end.add(keyframe).events
+            if keyframe is None:
+                continue
+            if self._given is not None:
+                self._given.add(keyframe)
+            self.events += self.back_end.add(keyframe).events
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Why the result is not to be trusted although nothing else says so."""
+        return self._given.doubts if self._given is not None else ()
 
     def moved(self) -> MovedKeyframes | None:
         """Return where the keyframes lie after all; None where no loop stands, and odometry has the last word."""
@@ -91,9 +101,18 @@ class SlamSession:
 
 
 class NoSlam:
-    """The back-end of a run that has none."""
+    """The back-end of a run that has none.
+
+    Parameters
+    ----------
+    doubts : tuple of str
+        Why the result is not to be trusted for want of it.
+    """
 
     events: tuple[Event, ...] = ()
+
+    def __init__(self, doubts: tuple[str, ...] = ()) -> None:
+        self.doubts = doubts
 
     def observe(self, message: Message) -> None:
         """Take nothing."""

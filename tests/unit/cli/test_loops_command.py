@@ -1,5 +1,7 @@
 """A run on another system's poses closes its loops, and `heliograph loops` lists, explains, revokes and adds them."""
 
+import csv
+import errno
 import json
 import shutil
 
@@ -8,7 +10,7 @@ import pytest
 from tests.slam_worlds import drifting_walk
 
 from heliograph.cli.main import main
-from heliograph.io.files.clouds import write_cloud
+from heliograph.io.files.clouds import read_cloud, write_cloud
 from heliograph.io.files.tum import read_tum
 
 DRIFT = ("slam.pose_position_sigma=0.02", "slam.pose_rotation_sigma_deg=0.2")
@@ -106,6 +108,33 @@ def test_loop_is_added_by_hand_and_taken_back(run, copy, call):
     np.testing.assert_allclose(poses(copy), before, atol=2e-3)
 
 
+def test_files_of_a_changed_run_tell_the_same(copy, call):
+    accepted = [e["number"] for e in json.loads(call("loops", copy, "--json")[1]) if e["verdict"] == "accepted"]
+    code, _, err = call("loops", copy, *[word for number in accepted for word in ("--revoke", number)])
+    assert code == 0, err
+    facts = json.loads((copy / "run.json").read_text())
+    T = poses(copy)
+    assert facts["start_end_gap_m"] == pytest.approx(np.linalg.norm(T[-1, :3, 3] - T[0, :3, 3]), abs=1e-5)
+    assert facts["map_points"] == len(read_cloud(copy / "map.ply").points)
+    with (copy / "scans.csv").open(newline="") as file:
+        rows = [[float(row[f"position_{axis}"]) for axis in "xyz"] for row in csv.DictReader(file)]
+    np.testing.assert_allclose(rows, T[:, :3, 3], atol=1e-5)
+
+
+@pytest.mark.parametrize("broken", ["write_graph_files", "write_cloud", "rewrite_scans", "write_text"])
+def test_change_that_cannot_be_written_changes_nothing(copy, call, monkeypatch, broken):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "no space left")
+
+    before = {path.name: path.read_bytes() for path in copy.iterdir() if path.is_file()}
+    number = next(e["number"] for e in json.loads(call("loops", copy, "--json")[1]) if e["verdict"] == "accepted")
+    monkeypatch.setattr(f"heliograph.revision.{broken}", full)
+    code, _, err = call("loops", copy, "--revoke", number)
+    assert code == 2 and "the disk is full" in err and len(err.splitlines()) == 1
+    assert {path.name: path.read_bytes() for path in copy.iterdir() if path.is_file()} == before
+    assert not list(copy.glob(".*"))
+
+
 @pytest.mark.parametrize(
     ("options", "cause"),
     [
@@ -161,4 +190,4 @@ def test_poses_that_are_missing_or_too_few_are_one_line(keyframes, tmp_path, cal
     assert code == 2 and "nowhere.txt" in err and len(err.splitlines()) == 1
     (tmp_path / "others.tum").write_text("1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 1\n")
     code, _, err = call("run", keyframes, "--odometry", "others.tum", "-o", "b", "--quiet")
-    assert code == 2 and "no scan" in err.lower()
+    assert code == 2 and "none of the" in err and "has a pose" in err and len(err.splitlines()) == 1

@@ -95,7 +95,7 @@ def test_false_loop_by_hand_is_taken_back_by_the_solution(walk, tmp_path):
     evidence = back_end.ledger.accepted()[-1].evidence
     wrong = evidence.T_match_query @ se3.exp(np.array([0.0, 0.0, 0.2, 1.5, 0.0, 0.0]))
     entry = back_end.ledger.add_by_hand(replace(evidence, T_match_query=np.ascontiguousarray(wrong)))
-    back_end._enforce([entry])
+    back_end._enforce()
     assert back_end.ledger[entry.number].decision.verdict == "revoked"
     assert back_end.ledger[entry.number].decision.reason == "solve"
     np.testing.assert_allclose(back_end.T_map_imu, before, atol=2e-3)

@@ -15,7 +15,6 @@ from heliograph.slam.loops import (
     loop_align_config,
     rank_places,
     verify,
-    verify_places,
     within_reach,
 )
 from heliograph.slam.loops.sharpness import joined_blur
@@ -176,21 +175,6 @@ def test_reach_knows_heights_and_doubts():
     none, much = np.zeros((3, 3)), np.full((3, 3), 4.0)
     assert within_reach(np.zeros(3), p, none).tolist() == [True, False, False]
     assert within_reach(np.zeros(3), p, much).tolist() == [True, True, True]
-
-
-def test_search_stops_at_the_first_place_that_is_not_refused(rng):
-    walk = Walk(rng, sigma=0.02)
-
-    def place(index, truth_of, yaw_only=False):
-        T = level_pose(walk.T[index]) @ walk.truth(truth_of, 15) @ se3.inverse(level_pose(walk.T[15]))
-        return PlaceMatch(index=index, score=0.5, T_match_query=T, yaw_only=yaw_only)
-
-    found = verify_places(15, [place(3, 3), place(2, 2)], maps_of(walk), walk.relative, newest=15, config=CONFIG)
-    assert [e.match for e in found] == [3]
-    strict = LoopConfig(before=2, after=2, max_residual=1e-6)
-    found = verify_places(15, [place(3, 3), place(2, 2, True)], maps_of(walk), walk.relative, newest=15, config=strict)
-    assert [e.match for e in found] == [3, 2]
-    assert [e.score for e in found] == [0.5, 0.5]
 
 
 def test_places_that_odometry_allows_come_first_and_keep_their_order(rng):

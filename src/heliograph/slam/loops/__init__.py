@@ -12,8 +12,9 @@ from heliograph.slam.loops.records import (
     RelativePose,
     Verdict,
 )
-from heliograph.slam.loops.search import rank_places, verify_places, within_reach
+from heliograph.slam.loops.search import rank_places, within_reach
 from heliograph.slam.loops.submaps import LocalMaps, Submaps, local_map
+from heliograph.slam.loops.tangent import gate_of
 from heliograph.slam.loops.verify import loop_align_config, verify
 
 __all__ = [
@@ -30,6 +31,7 @@ __all__ = [
     "Verdict",
     "agreements",
     "cycle_mahalanobis",
+    "gate_of",
     "judge",
     "judge_together",
     "local_map",
@@ -38,7 +40,6 @@ __all__ = [
     "rank_places",
     "read_ledger",
     "verify",
-    "verify_places",
     "within_reach",
     "write_ledger",
 ]

@@ -15,10 +15,6 @@ from heliograph.slam.loops.tangent import gate_of
 
 __all__ = ["agreements", "judge", "judge_together"]
 
-_NO_WORSE = (
-    1.25  # up to this ratio of its blur a map is as sharp as before: local maps are bent, and poses differ by that
-)
-
 
 def judge(evidence: LoopEvidence, config: LoopConfig | None = None) -> LoopDecision:
     """Decide about one candidate by itself: it is rejected, or held; nothing is accepted alone.
@@ -51,7 +47,7 @@ def judge(evidence: LoopEvidence, config: LoopConfig | None = None) -> LoopDecis
         return LoopDecision(verdict="rejected", reason="fit", numbers=numbers)
     if len(e.blind) > c.max_blind:
         return LoopDecision(verdict="rejected", reason="blind", numbers={"directions": len(e.blind)})
-    if e.blur_after > max(c.max_blur, _NO_WORSE * e.blur_before):
+    if e.blur_after > max(c.max_blur, c.max_blur_ratio * e.blur_before):
         numbers = {"before": e.blur_before, "after": e.blur_after, "allowed": c.max_blur}
         return LoopDecision(verdict="rejected", reason="blur", numbers=numbers)
     if e.lead < c.min_lead:

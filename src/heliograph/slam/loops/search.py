@@ -1,4 +1,4 @@
-"""From a query to evidence: which keyframes may be looked at, who looks like it, and who registers."""
+"""Which keyframes may be looked at, and which of those that look like the query come first."""
 
 from __future__ import annotations
 
@@ -8,14 +8,13 @@ import numpy as np
 
 from heliograph.arrays import Array, Mask
 from heliograph.config import LoopConfig
-from heliograph.slam.loops.judge import judge
-from heliograph.slam.loops.records import LoopEvidence, LoopStart, RelativePose
-from heliograph.slam.loops.submaps import LocalMaps, Submaps
+from heliograph.slam.loops.records import RelativePose
+from heliograph.slam.loops.submaps import Submaps
 from heliograph.slam.loops.tangent import gate_of
-from heliograph.slam.loops.verify import guess_distance, verify
+from heliograph.slam.loops.verify import guess_distance
 from heliograph.slam.places import PlaceMatch, body_guess
 
-__all__ = ["rank_places", "verify_places", "within_reach"]
+__all__ = ["rank_places", "within_reach"]
 
 _SIGMAS = 3.0
 
@@ -71,44 +70,3 @@ def rank_places(
         return excluded, float(np.linalg.norm(prior[0][:3, 3])) if excluded else 0.0
 
     return tuple(sorted(places, key=order)[: c.candidates])
-
-
-def verify_places(
-    query: int,
-    places: Sequence[PlaceMatch],
-    maps: LocalMaps,
-    relative: RelativePose,
-    *,
-    newest: int,
-    config: LoopConfig | None = None,
-    threads: int = 1,
-) -> tuple[LoopEvidence, ...]:
-    """Verify places in their order until one is not refused by itself; return the evidence of all that were looked at.
-
-    Parameters
-    ----------
-    query : int
-        Keyframe.
-    places : sequence of PlaceMatch
-        In the order in which to try them, see `rank_places`.
-    maps : LocalMaps
-    relative : callable
-        Keyframes a < b -> odometry's ``T_a_b`` and its covariance.
-    newest : int
-        Last keyframe that there is.
-    config : LoopConfig, optional
-    threads : int
-    """
-    config = config or LoopConfig()
-    found: list[LoopEvidence] = []
-    T_query = maps.submaps.T_odom_imu(query)
-    for place in places:
-        T = body_guess(place.T_match_query, maps.submaps.T_odom_imu(place.index), T_query)
-        # A turn alone says nothing of the position: odometry's own start has the better one.
-        starts = () if place.yaw_only else (LoopStart(source="place", T_match_query=T),)
-        evidence = verify(query, place.index, maps, starts, relative, newest=newest, config=config,
-                          score=place.score, threads=threads)  # fmt: skip
-        found.append(evidence)
-        if judge(evidence, config).verdict != "rejected":
-            break
-    return tuple(found)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import Array, Points
+from heliograph.maps import transformed
 
 __all__ = ["joined_blur"]
 
@@ -31,7 +32,7 @@ def joined_blur(target: Points, source: Points, T_target_source: Array, edge: fl
         Edge of a cube [m].
     """
     a, b = (cloud[:: max(1, len(cloud) // _THINNED)] for cloud in (target, source))
-    moved = b @ T_target_source[:3, :3].T.astype(np.float32) + T_target_source[:3, 3].astype(np.float32)
+    moved = transformed(b, T_target_source)
     cells = np.floor(np.concatenate([a, moved]) / np.float32(edge)).astype(np.int64)
     cells -= cells.min(axis=0)
     size = cells.max(axis=0) + 1

@@ -11,8 +11,8 @@ import numpy as np
 from heliograph.arrays import Array, Points
 from heliograph.config import AlignConfig
 from heliograph.lie import se3
+from heliograph.maps import transformed
 from heliograph.registration import PreparedCloud, prepare_cloud
-from heliograph.slam.transform import transformed
 
 __all__ = ["LocalMaps", "Submaps", "local_map"]
 

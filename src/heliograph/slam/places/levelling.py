@@ -6,7 +6,7 @@ import numpy as np
 
 from heliograph.arrays import Array, Points, as_points, as_pose
 from heliograph.lie import se3, so3
-from heliograph.slam.transform import transformed
+from heliograph.maps import transformed
 
 __all__ = ["body_guess", "level_points", "level_pose"]
 

@@ -12,10 +12,16 @@ _BLOCK = 8192  # points moved at once: with more, BLAS would start threads that 
 
 
 def transformed(points: Points, T: Array) -> Points:
-    """Return points (N, 3) float32 moved by a motion (4, 4)."""
-    R, t = T[:3, :3].T.astype(np.float32), T[:3, 3].astype(np.float32)
+    """Return points moved by a motion, each computed in float64 and rounded once.
+
+    Parameters
+    ----------
+    points : (N, 3) float32
+        [m].
+    T : (4, 4) float64
+    """
     moved = np.empty_like(points)
     for first in range(0, len(points), _BLOCK):
-        np.matmul(points[first : first + _BLOCK], R, out=moved[first : first + _BLOCK])
-    moved += t
+        block = points[first : first + _BLOCK].astype(np.float64)
+        moved[first : first + _BLOCK] = block @ T[:3, :3].T + T[:3, 3]
     return moved
