@@ -41,7 +41,7 @@ class _Account:
 
 def run_session(odometry: DriftingOdometry, config: RunConfig) -> _Account:
     """Give a set to the back-end, keyframe by keyframe; every one is a query, as with another system's poses."""
-    config = replace(config, slam=replace(config.slam, loop_every=1))
+    config = replace(config, slam=replace(config.slam, loop_every=1, loop_pieces=10_000))
     with TemporaryDirectory() as folder:
         back_end = BackEnd(config, KeyframeStore.create(Path(folder)))
         account = _Account(ledger=back_end.ledger, T_map_imu=np.zeros((0, 4, 4)))
@@ -49,7 +49,7 @@ def run_session(odometry: DriftingOdometry, config: RunConfig) -> _Account:
             began = time.process_time()  # other work on the machine does not count
             update = back_end.add(keyframe)
             account.seconds.append(time.process_time() - began)
-            account.places[keyframe.index] = update.candidates
+            account.places |= update.candidates
         back_end.store.close()
         account.T_map_imu = back_end.T_map_imu
     return account

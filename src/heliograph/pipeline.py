@@ -80,7 +80,7 @@ def run(
             with clock("odometry"):
                 results = odometry.finish()  # 5. nothing more comes: the scans that were waiting for it
             with clock("graph"):
-                slam.add(results)
+                slam.finish(results)
             account.add(results)
         account.tally.add_events((*unsolved(recording.events, found), *odometry.events, *slam.events))
         summary = account.conclude(

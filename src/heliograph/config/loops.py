@@ -91,9 +91,13 @@ class LoopConfig:
         corridors and storeys, and within half of that nothing but odometry tells twins apart.
     max_doubt, max_doubt_up : float
         Odometry's largest one-sigma of the query, level and in height, with which it can tell them [m].
+    correlation : float
+        Matches that tell as much as one, as neighbours share errors: a registration's own covariance is times this.
     sigma, sigma_deg : float
-        One-sigma that a registration of local maps is credited with at best, an axis [m], [deg]: neighbouring points
-        share errors that its own covariance does not know of.
+        One-sigma that a loop is credited with at best, an axis [m], [deg]: what all points of a local map share.
+    slack, slack_deg : float
+        One-sigma that a loop may be off besides without being called wrong, an axis [m], [deg]: it widens the gates,
+        and is no part of the loop's covariance.
     same, same_deg : float
         Poses nearer than this are one answer [m], [deg].
     min_overlap : float
@@ -141,8 +145,11 @@ class LoopConfig:
     max_shift_up: float = 1.5
     max_doubt: float = 2.0
     max_doubt_up: float = 0.75
-    sigma: float = 0.05
-    sigma_deg: float = 0.5
+    correlation: float = 4.0
+    sigma: float = 0.005
+    sigma_deg: float = 0.05
+    slack: float = 0.05
+    slack_deg: float = 0.5
     same: float = 0.4
     same_deg: float = 4.0
     min_overlap: float = 0.3
@@ -168,6 +175,8 @@ class LoopConfig:
             "voxel",
             "sigma",
             "sigma_deg",
+            "slack",
+            "slack_deg",
             "same",
             "same_deg",
             "max_residual",
@@ -180,6 +189,6 @@ class LoopConfig:
         check_range(self, "min_overlap", "min_inliers", low=0.0, high=1.0)
         check_range(self, "gate_probability", "consistency_probability", above=0.0, below=1.0)
         check_range(self, "max_shift", "max_shift_up", "max_doubt", "max_doubt_up", above=0.0)
-        check_range(self, "min_lead", low=1.0)
+        check_range(self, "min_lead", "correlation", low=1.0)
         check_range(self, "max_blur", "min_span", low=0.0)
         check_range(self, "max_blur_ratio", low=1.0)

@@ -31,6 +31,9 @@ class SlamConfig:
         What the first pose's level may be off where the odometry does not tell [deg].
     loop_every : int
         Loops are looked for at every n-th keyframe, n being this.
+    loop_pieces : int
+        Pieces of the search for loops, such as one registration, that are done at a keyframe; what is left goes on at
+        the next ones.
     loop_worth : float
         Loops are looked for where odometry, and the loops that stand, leave the position open by at least this,
         one-sigma [m].
@@ -48,6 +51,7 @@ class SlamConfig:
     step_position_sigma: float = 0.001
     level_sigma_deg: float = 1.0
     loop_every: int = 2
+    loop_pieces: int = 4
     loop_worth: float = 0.03
     pose_rotation_sigma_deg: float = 0.5
     pose_position_sigma: float = 0.05
@@ -56,5 +60,5 @@ class SlamConfig:
         check_range(self, "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", "cloud_voxel", above=0.0)
         check_range(self, "step_rotation_sigma_deg", "step_position_sigma", "level_sigma_deg", above=0.0)
         check_range(self, "loop_worth", low=0.0)
-        check_range(self, "loop_every", low=1)
+        check_range(self, "loop_every", "loop_pieces", low=1)
         check_range(self, "pose_rotation_sigma_deg", "pose_position_sigma", above=0.0)

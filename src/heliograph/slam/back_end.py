@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from heliograph.lie import SE3, se3
 from heliograph.slam.covariances import OdometryChain
 from heliograph.slam.inertial_factors import InertialFactors
 from heliograph.slam.loop_search import Candidate, LoopSearch
-from heliograph.slam.loops import Ledger, LedgerEntry, LoopEvidence
+from heliograph.slam.loops import Ledger, LedgerEntry, LoopEvidence, diagonal, finished
 from heliograph.slam.pose_factors import PoseFactors
 from heliograph.slam.store import KeyframeStore
 
@@ -38,9 +39,8 @@ class GraphUpdate:
         The back-end's only word to the front: where odom lies in the map at the last keyframe.
     loops : tuple of LedgerEntry
         Candidates that are new or were decided anew.
-    candidates : tuple of int
-        Earlier keyframes that were taken for the same place, the most promising first, whether or not they were looked
-        at.
+    candidates : mapping of int to tuple of int
+        Queries that were begun, and the earlier keyframes that may show their places, the most promising first.
     moved : float
         How far the keyframe that moved most was moved [m].
     events : tuple of Event
@@ -49,7 +49,7 @@ class GraphUpdate:
 
     T_map_odom: NDArray[np.float64]
     loops: tuple[LedgerEntry, ...]
-    candidates: tuple[int, ...]
+    candidates: Mapping[int, tuple[int, ...]]
     moved: float
     events: tuple[Event, ...]
 
@@ -75,6 +75,9 @@ class BackEnd:
         self.chain = OdometryChain()
         self.ledger = ledger if ledger is not None else Ledger(config.loops)
         self._search = LoopSearch(store, self.chain, config.slam, config.places, config.loops)
+        self._waiting: deque[int] = deque()  # keyframes at which loops are still to be looked for
+        self._query: Generator[None, None, None] | None = None  # the one that is being looked at
+        self._news = _News()
         self._factors: InertialFactors | PoseFactors | None = None
         self._before: Keyframe | None = None
         self._in_force: dict[int, int] = {}  # number in the ledger -> number of its factor in the smoother
@@ -91,28 +94,55 @@ class BackEnd:
 
     def compare(self, query: int, match: int) -> LoopEvidence:
         """Register two keyframes from where the graph and the odometry have them."""
-        return self._search.verified(query, Candidate(match=match), self.T_map_imu)
+        return finished(self._search.verification(query, Candidate(match=match), self.T_map_imu))
 
     def add(self, keyframe: Keyframe) -> GraphUpdate:
-        """Take the next keyframe into the graph."""
+        """Take the next keyframe into the graph.
+
+        The search for loops is done in pieces, `SlamConfig.loop_pieces` a keyframe: a query that takes more goes on at
+        the next keyframes, and those behind it wait.
+        """
         self.store.append(keyframe)  # (1) it is on disk before anything leans on it
         self.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
         graph, values = self._step(keyframe)  # (2) where it starts, (3) what odometry and IMU say of the step
         self._smoother.update(graph, values)  # (4)
-        changed: list[LedgerEntry] = []
-        candidates: tuple[Candidate, ...] = ()
-        before: Array | None = None
         if self._config.slam.loops and self._search.due(keyframe.index):
-            before = self.T_map_imu
-            candidates = self._search.candidates(keyframe.index, before)  # (5) who looks like it
-            for candidate in candidates:
-                evidence = self._search.verified(keyframe.index, candidate, before)  # (6) does it match
-                changed += self.ledger.add(evidence, self.chain.relative)  # (7) is it to be believed
-                if changed[-1].decision.verdict != "rejected":
-                    break
+            self._waiting.append(keyframe.index)
+        self._go_on(self._config.slam.loop_pieces)  # (5) to (8)
+        return self._word(keyframe)  # (9)
+
+    def finish(self) -> GraphUpdate | None:
+        """Look at all that still waits; None where there is no keyframe."""
+        while self._query is not None or self._waiting:
+            self._go_on(1)
+        return self._word(self._before) if self._before is not None else None
+
+    def _go_on(self, pieces: int) -> None:
+        for _ in range(pieces):
+            if self._query is None:
+                if not self._waiting:
+                    return
+                self._query = self._closing(self._waiting.popleft())
+            try:
+                next(self._query)
+            except StopIteration:
+                self._query = None
+
+    def _closing(self, query: int) -> Generator[None, None, None]:
+        """Look for the loops of one keyframe, in pieces of some milliseconds."""
+        T_map_imu = self.T_map_imu
+        candidates = self._search.candidates(query, T_map_imu)  # (5) who looks like it
+        self._news.candidates[query] = tuple(candidate.match for candidate in candidates)
+        changed: tuple[LedgerEntry, ...] = ()
+        for candidate in candidates:
+            yield
+            evidence = yield from self._search.verification(query, candidate, T_map_imu)  # (6) does it match
+            changed = self.ledger.add(evidence, self.chain.relative)  # (7) is it to be believed
+            self._news.loops += changed
+            if changed[-1].decision.verdict != "rejected":
+                break
         if changed:
-            changed += self._enforce()  # (8) smooth with the accepted, take back what the solution contradicts
-        return self._word(keyframe, before, tuple(changed), tuple(c.match for c in candidates))  # (9)
+            self._news.loops += self._enforce()  # (8) smooth with the accepted, take back what the solution contradicts
 
     @property
     def T_map_imu(self) -> Array:
@@ -179,6 +209,7 @@ class BackEnd:
         gone = [self._in_force.pop(number) for number in list(self._in_force) if number not in standing]
         if not news and not gone:
             return []
+        before = self.T_map_imu
         graph = FactorGraph()
         for entry in news:
             graph.add(_loop_factor(entry))
@@ -186,15 +217,17 @@ class BackEnd:
         self._in_force |= {entry.number: int(k) for entry, k in zip(news, result.factors, strict=True)}
         revoked = self._contradicted()
         self._search.closed([self.ledger[number].evidence for number in self._in_force])
+        self._news.moved = max(self._news.moved, _furthest(before, self.T_map_imu))
         return revoked
 
     def _contradicted(self) -> list[LedgerEntry]:
         """Take back the loops that the solution does not bear out, the worst first, until all that stand agree."""
         revoked: list[LedgerEntry] = []
         gate = chi_square_quantile(_BELIEVED, 6)
+        slack = diagonal(self._config.loops.slack_deg, self._config.loops.slack)
         while self._in_force:
             T = self.T_map_imu
-            off = {number: _misfit(self.ledger[number], T) for number in self._in_force}
+            off = {number: _misfit(self.ledger[number], T, slack) for number in self._in_force}
             worst = max(off, key=lambda number: off[number])
             if off[worst] <= gate:
                 break
@@ -202,18 +235,25 @@ class BackEnd:
             self._smoother.update(remove=[self._in_force.pop(worst)], iterate=_CONVERGED)
         return revoked
 
-    def _word(
-        self, keyframe: Keyframe, before: Array | None, changed: tuple[LedgerEntry, ...], candidates: tuple[int, ...]
-    ) -> GraphUpdate:
-        moved = _furthest(before, self.T_map_imu) if changed and before is not None else 0.0
+    def _word(self, keyframe: Keyframe) -> GraphUpdate:
+        news, self._news = self._news, _News()
         T_map_imu = self._smoother.estimate(X(keyframe.index)).matrix[:4, :4]
         return GraphUpdate(
             T_map_odom=T_map_imu @ se3.inverse(keyframe.T_odom_imu),
-            loops=changed,
-            candidates=candidates,
-            moved=moved,
-            events=_events(keyframe, changed, moved),
+            loops=tuple(news.loops),
+            candidates=news.candidates,
+            moved=news.moved,
+            events=_events(keyframe, news.loops, news.moved),
         )
+
+
+@dataclass(slots=True)
+class _News:
+    """What has come of the search since the last keyframe."""
+
+    loops: list[LedgerEntry] = field(default_factory=list)
+    candidates: dict[int, tuple[int, ...]] = field(default_factory=dict)
+    moved: float = 0.0
 
 
 def _furthest(before: Array, after: Array) -> float:
@@ -225,11 +265,11 @@ def _loop_factor(entry: LedgerEntry) -> Between:
     return Between(X(loop.match), X(loop.query), SE3(loop.T_match_query), Covariance(loop.covariance))
 
 
-def _misfit(entry: LedgerEntry, T_map_imu: Array) -> float:
-    """Squared distance between a loop and the solution, in the loop's own covariance."""
+def _misfit(entry: LedgerEntry, T_map_imu: Array, slack: Array) -> float:
+    """Squared distance between a loop and the solution, in the loop's own covariance and the slack."""
     loop = entry.evidence
     d = se3.local(loop.T_match_query, se3.inverse(T_map_imu[loop.match]) @ T_map_imu[loop.query])
-    return float(d @ np.linalg.solve(loop.covariance, d))
+    return float(d @ np.linalg.solve(loop.covariance + slack, d))
 
 
 def _events(keyframe: Keyframe, changed: Sequence[LedgerEntry], moved: float) -> tuple[Event, ...]:

@@ -9,7 +9,7 @@ from heliograph.config import LoopConfig
 from heliograph.data import Keyframe
 from heliograph.lie import se3
 from heliograph.registration import align
-from heliograph.slam.loops import gate_of, loop_align_config
+from heliograph.slam.loops import diagonal, gate_of, loop_align_config
 
 __all__ = ["GivenPoses"]
 
@@ -33,7 +33,7 @@ class GivenPoses:
 
     def __init__(self, config: LoopConfig) -> None:
         self._settings = loop_align_config(config)
-        self._floor = np.diag(np.repeat([np.radians(config.sigma_deg), config.sigma], 3) ** 2)
+        self._floor = diagonal(config.slack_deg, config.slack)
         self._before: Keyframe | None = None
         self.steps = self.registered = self.contradicted = 0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from heliograph.slam.loops import (
     local_map,
     loop_align_config,
     rank_places,
-    verify,
+    verification,
     within_reach,
 )
 from heliograph.slam.places import body_guess, level_points, make_detector
@@ -48,11 +48,14 @@ class Candidate:
     score : float
         Likeness by the detector; NaN where the poses propose it.
     starts : tuple of LoopStart
+    sure : bool
+        Whether the graph knows the way there well enough for a registration.
     """
 
     match: int
     score: float = float("nan")
     starts: tuple[LoopStart, ...] = ()
+    sure: bool = False
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -130,11 +133,11 @@ class LoopSearch:
             found += self._alike(query, unsure, T_map_imu)
         return tuple(found)
 
-    def verified(self, query: int, candidate: Candidate, T_map_imu: Array) -> LoopEvidence:
-        """Register the query against a candidate from the graph's pose and its guesses, and return the evidence."""
-        return verify(
+    def verification(self, query: int, candidate: Candidate, T_map_imu: Array) -> Generator[None, None, LoopEvidence]:
+        """Register the query against a candidate from the graph's pose and its guesses, in pieces."""
+        return verification(
             query, candidate.match, self._maps, candidate.starts, self._relative(T_map_imu), newest=query,
-            config=self._config, score=candidate.score,
+            config=self._config, score=candidate.score, sure=candidate.sure,
         )  # fmt: skip
 
     def _relative(self, T_map_imu: Array) -> RelativePose:
@@ -174,7 +177,7 @@ class LoopSearch:
         apart = np.linalg.norm(T_map_imu[some, :3, 3] - T_map_imu[query, :3, 3], axis=1)
         turned = 1.0 - np.einsum("nij,ij->n", T_map_imu[some, :3, :3], T_map_imu[query, :3, :3]) / 3.0
         best = some[np.argsort(apart + _TURNED_APART * turned, kind="stable")[:_TRIED]]
-        return [Candidate(match=int(k)) for k in best]
+        return [Candidate(match=int(k), sure=True) for k in best]
 
     def _alike(self, query: int, allowed: Mask, T_map_imu: Array) -> list[Candidate]:
         indices = np.array(self._described, dtype=np.int64)

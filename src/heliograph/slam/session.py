@@ -22,6 +22,7 @@ from heliograph.slam.store import KeyframeStore
 __all__ = ["KEYFRAMES", "MovedKeyframes", "NoSlam", "SlamSession"]
 
 KEYFRAMES = "keyframes"
+_ALL = 10_000  # pieces of a search: where nobody waits, nothing is put off
 
 
 class MovedKeyframes(NamedTuple):
@@ -55,7 +56,7 @@ class SlamSession:
     """
 
     def __init__(self, folder: Path, config: RunConfig, *, poses_given: bool = False, kept: bool = True) -> None:
-        config = replace(config, slam=replace(config.slam, loop_every=1)) if poses_given else config
+        config = replace(config, slam=replace(config.slam, loop_every=1, loop_pieces=_ALL)) if poses_given else config
         self.events: list[Event] = []
         self._folder = folder if kept else None
         self._given = GivenPoses(config.loops) if poses_given else None
@@ -77,6 +78,12 @@ class SlamSession:
             if self._given is not None:
                 self._given.add(keyframe)
             self.events += self.back_end.add(keyframe).events
+
+    def finish(self, results: Sequence[ScanResult]) -> None:
+        """Take the last results, and look for the loops that still wait to be looked for."""
+        self.add(results)
+        update = self.back_end.finish()
+        self.events += update.events if update is not None else ()
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -118,6 +125,9 @@ class NoSlam:
         """Take nothing."""
 
     def add(self, results: Sequence[ScanResult]) -> None:
+        """Take nothing."""
+
+    def finish(self, results: Sequence[ScanResult]) -> None:
         """Take nothing."""
 
     def moved(self) -> MovedKeyframes | None:

@@ -24,7 +24,7 @@ def walk():
 @pytest.fixture(scope="module")
 def closed(walk, tmp_path_factory):
     back_end = BackEnd(config(), KeyframeStore.create(tmp_path_factory.mktemp("keyframes")))
-    updates = [back_end.add(keyframe) for keyframe in walk.keyframes]
+    updates = [*(back_end.add(keyframe) for keyframe in walk.keyframes), back_end.finish()]
     back_end.store.close()
     return back_end, updates
 
@@ -68,6 +68,29 @@ def test_map_moves_only_when_a_loop_is_closed(closed):
         assert any(event.code == "loop" for event in update.events) == bool(accepted)
 
 
+def test_search_in_pieces_finds_what_it_finds_at_once(walk, closed, tmp_path):
+    """A keyframe does little at a time; what waits is looked at later, and comes to the same places."""
+    back_end = BackEnd(config(loop_pieces=1), KeyframeStore.create(tmp_path))
+    later = [back_end.add(keyframe) for keyframe in walk.keyframes[:-5]]
+    waiting = {k for update in closed[1] for k in update.candidates if k < len(walk.keyframes) - 5}
+    begun = {k for update in later for k in update.candidates}
+    assert begun < waiting  # the work is spread
+    last = back_end.finish()
+    back_end.store.close()
+    assert begun | set(last.candidates) == waiting
+    for entry in back_end.ledger.accepted():
+        off = se3.local(true_relative(walk, entry.evidence), entry.evidence.T_match_query)
+        assert np.linalg.norm(off[3:]) < 0.1
+
+
+def test_how_far_loops_moved_is_seen_from_the_first_keyframe(closed):
+    back_end, _ = closed
+    T, T_odom = back_end.T_map_imu, back_end.chain.T_odom_imu
+    moved = np.linalg.norm(se3.act(T[0] @ se3.inverse(T_odom[0]), T_odom[:, :3, 3]) - T[:, :3, 3], axis=1)
+    assert back_end.moved == pytest.approx(moved.max())
+    assert back_end.account().moved == back_end.moved > 0.05
+
+
 def test_without_loops_the_graph_is_the_odometry(walk, tmp_path):
     store = KeyframeStore.create(tmp_path)
     back_end = BackEnd(config(loops=False), store)
@@ -90,6 +113,7 @@ def test_false_loop_by_hand_is_taken_back_by_the_solution(walk, tmp_path):
     back_end = BackEnd(config(), store)
     for keyframe in walk.keyframes:
         back_end.add(keyframe)
+    back_end.finish()
     store.close()
     before = back_end.T_map_imu
     evidence = back_end.ledger.accepted()[-1].evidence

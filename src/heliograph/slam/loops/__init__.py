@@ -14,8 +14,8 @@ from heliograph.slam.loops.records import (
 )
 from heliograph.slam.loops.search import rank_places, within_reach
 from heliograph.slam.loops.submaps import LocalMaps, Submaps, local_map
-from heliograph.slam.loops.tangent import gate_of
-from heliograph.slam.loops.verify import loop_align_config, verify
+from heliograph.slam.loops.tangent import diagonal, gate_of
+from heliograph.slam.loops.verify import finished, loop_align_config, verification, verify
 
 __all__ = [
     "LOOP_COLUMNS",
@@ -31,6 +31,8 @@ __all__ = [
     "Verdict",
     "agreements",
     "cycle_mahalanobis",
+    "diagonal",
+    "finished",
     "gate_of",
     "judge",
     "judge_together",
@@ -39,6 +41,7 @@ __all__ = [
     "maximum_clique",
     "rank_places",
     "read_ledger",
+    "verification",
     "verify",
     "within_reach",
     "write_ledger",

@@ -21,7 +21,9 @@ from heliograph.slam.loops.tangent import inverse_with_covariance
 __all__ = ["cycle_mahalanobis", "maximum_clique"]
 
 
-def cycle_mahalanobis(loop: LoopEvidence, others: Sequence[LoopEvidence], relative: RelativePose) -> Array:
+def cycle_mahalanobis(
+    loop: LoopEvidence, others: Sequence[LoopEvidence], relative: RelativePose, slack: Array | None = None
+) -> Array:
     """Return the squared distance from the identity of the cycles that a loop closes with others (N,) ([1]_ eq. 5).
 
     A cycle is match a, match b, query b, query a, match a. Chi-square with six degrees of freedom where the two loops
@@ -35,7 +37,10 @@ def cycle_mahalanobis(loop: LoopEvidence, others: Sequence[LoopEvidence], relati
         Loops b.
     relative : callable
         Keyframes a < b -> ``T_a_b`` of odometry and its covariance.
+    slack : (6, 6) float64, optional
+        Covariance of what either loop may be off beyond its own.
     """
+    slack = np.zeros((6, 6)) if slack is None else slack
     if not others:
         return np.zeros(0)
     T_ma_mb, S_m = _between([(loop.match, b.match) for b in others], relative)
@@ -44,8 +49,8 @@ def cycle_mahalanobis(loop: LoopEvidence, others: Sequence[LoopEvidence], relati
     rest = T_b @ T_qb_qa @ se3.inverse(loop.T_match_query)  # mb to ma
     d = se3.log(T_ma_mb @ rest)
     covariance = _carried(S_m, se3.inverse(rest))
-    covariance += _carried(S_b, loop.T_match_query @ se3.inverse(T_qb_qa))
-    covariance += _carried(S_q + loop.covariance, np.broadcast_to(loop.T_match_query, T_b.shape))
+    covariance += _carried(S_b + slack, loop.T_match_query @ se3.inverse(T_qb_qa))
+    covariance += _carried(S_q + loop.covariance + slack, np.broadcast_to(loop.T_match_query, T_b.shape))
     return np.asarray(np.einsum("ni,ni->n", d, np.linalg.solve(covariance, d[..., None])[..., 0]))
 
 

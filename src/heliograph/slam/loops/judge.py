@@ -11,7 +11,7 @@ from heliograph.arrays import Array, Mask
 from heliograph.config import LoopConfig
 from heliograph.slam.loops.consistency import cycle_mahalanobis, maximum_clique
 from heliograph.slam.loops.records import LoopDecision, LoopEvidence, RelativePose
-from heliograph.slam.loops.tangent import gate_of
+from heliograph.slam.loops.tangent import diagonal, gate_of
 
 __all__ = ["agreements", "judge", "judge_together"]
 
@@ -59,8 +59,9 @@ def agreements(
     evidence: LoopEvidence, others: Sequence[LoopEvidence], relative: RelativePose, config: LoopConfig | None = None
 ) -> Mask:
     """Return which of the others close a cycle with this loop that odometry allows, (N,)."""
-    gate = gate_of((config or LoopConfig()).consistency_probability)
-    return np.asarray(cycle_mahalanobis(evidence, others, relative) <= gate)
+    c = config or LoopConfig()
+    slack = diagonal(c.slack_deg, c.slack)
+    return np.asarray(cycle_mahalanobis(evidence, others, relative, slack) <= gate_of(c.consistency_probability))
 
 
 def judge_together(

@@ -69,6 +69,10 @@ class LocalMaps:
                 self._maps.popitem(last=False)
         return self._maps[key]
 
+    def holds(self, centre: int, first: int, last: int) -> bool:
+        """Whether a map is there already."""
+        return (centre, first, last) in self._maps
+
     def clear(self) -> None:
         """Forget the maps: poses have moved."""
         self._maps.clear()

@@ -10,13 +10,18 @@ from heliograph.arrays import Array
 from heliograph.chi_square import chi_square_quantile
 from heliograph.lie import se3
 
-__all__ = ["gate_of", "inverse_with_covariance", "mahalanobis", "near"]
+__all__ = ["diagonal", "gate_of", "inverse_with_covariance", "mahalanobis", "near"]
 
 
 @lru_cache(maxsize=32)
 def gate_of(probability: float) -> float:
     """Return the squared distance that six degrees of freedom stay below with a probability."""
     return chi_square_quantile(probability, 6)
+
+
+def diagonal(angle_deg: float, distance: float) -> Array:
+    """Return the covariance (6, 6) of an angle [deg] and a distance [m], one-sigma an axis."""
+    return np.diag(np.repeat([np.radians(angle_deg), distance], 3) ** 2)
 
 
 def mahalanobis(A: Array, B: Array, covariance: Array) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -14,9 +15,11 @@ from heliograph.registration import AlignResult, PreparedCloud, align
 from heliograph.slam.loops.records import LoopEvidence, LoopStart, RelativePose
 from heliograph.slam.loops.sharpness import joined_blur
 from heliograph.slam.loops.submaps import LocalMaps
-from heliograph.slam.loops.tangent import gate_of, mahalanobis, near
+from heliograph.slam.loops.tangent import diagonal, gate_of, mahalanobis, near
 
-__all__ = ["guess_distance", "loop_align_config", "verify", "window_end"]
+__all__ = ["finished", "guess_distance", "loop_align_config", "verification", "verify", "window_end"]
+
+T = TypeVar("T")
 
 _LEVER_M = 10.0  # distance at which a local map's turn is counted as smear
 _MIN_REACH = 2  # keyframes that a local map reaches on either side whatever their smear
@@ -25,6 +28,16 @@ _MIN_REACH = 2  # keyframes that a local map reaches on either side whatever the
 def loop_align_config(config: LoopConfig) -> AlignConfig:
     """Return the settings that local maps are prepared and matched with."""
     return AlignConfig(one_sided=True, voxel=config.voxel, levels=config.levels)
+
+
+def finished(pieces: Generator[None, None, T]) -> T:
+    """Do all pieces of a work and return what it comes to."""
+    while True:
+        try:
+            next(pieces)
+        except StopIteration as end:
+            result: T = end.value
+            return result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +76,7 @@ def verify(
     newest: int,
     config: LoopConfig | None = None,
     score: float = float("nan"),
+    sure: bool = False,
     threads: int = 1,
 ) -> LoopEvidence:
     """Register a query against a candidate from every start that odometry allows, and collect what tells for it.
@@ -87,6 +101,9 @@ def verify(
     config : LoopConfig, optional
     score : float
         Likeness by the detector.
+    sure : bool
+        Whether ``relative`` knows the way so well that a registration finds the rest: local maps as short as those that
+        the pose is taken from are then tried first, and are enough where they overlap.
     threads : int
         The result does not depend on it.
 
@@ -95,24 +112,63 @@ def verify(
     DataError
         Keyframes out of order.
     """
+    return finished(
+        verification(
+            query, match, maps, starts, relative, newest=newest, config=config, score=score, sure=sure, threads=threads
+        )
+    )
+
+
+def verification(
+    query: int,
+    match: int,
+    maps: LocalMaps,
+    starts: Sequence[LoopStart],
+    relative: RelativePose,
+    *,
+    newest: int,
+    config: LoopConfig | None = None,
+    score: float = float("nan"),
+    sure: bool = False,
+    threads: int = 1,
+) -> Generator[None, None, LoopEvidence]:
+    """Do what `verify` does in pieces, none of them longer than one registration: a live run goes on in between.
+
+    It yields after each piece, and returns the evidence.
+    """
     config = config or LoopConfig()
     if not 0 <= match < query <= newest:
         raise DataError(f"a loop needs an earlier keyframe as match, got query {query}, match {match} of 0 to {newest}")
     prior = relative(match, query)
-    wide = _pair(query, match, maps, relative, config, config.max_smear)
+    tried = _distinct((LoopStart(source="odometry", T_match_query=prior[0]), *starts), prior, config)
+    if sure:
+        fine = yield from _pair(query, match, maps, relative, config, config.fine_smear)
+        result = align(fine.target, fine.source, start=prior[0], config=maps.config, threads=threads)
+        yield
+        one = _Fitted(start=tried[0], result=result, covariance=_covariance(result, fine.bent, config))
+        if result.status == "converged" and min(result.overlap_source, result.overlap_target) >= config.min_overlap:
+            evidence = _evidence_of(query, match, one, [one], prior, score, config)
+            return _concluded(evidence, fine, maps, config)
+    wide = yield from _pair(query, match, maps, relative, config, config.max_smear)
     fitted = []
-    for start in _distinct((LoopStart(source="odometry", T_match_query=prior[0]), *starts), prior, config):
+    for start in tried:
         result = align(wide.target, wide.source, start=start.T_match_query, config=maps.config, threads=threads)
         fitted.append(_Fitted(start=start, result=result, covariance=_covariance(result, wide.bent, config)))
+        yield
     best = max(fitted, key=lambda one: one.evidence)
     evidence = _evidence_of(query, match, best, fitted, prior, score, config)
     if best.evidence == 0.0:
         return evidence
-    fine = _pair(query, match, maps, relative, config, config.fine_smear)
+    fine = yield from _pair(query, match, maps, relative, config, config.fine_smear)
     if fine.ends != wide.ends:
         evidence = _refined(evidence, fine, config, maps.config, threads)
-    evidence = _with_shift(evidence, maps.submaps.T_odom_imu(query), maps.submaps.T_odom_imu(match))
-    return with_blur(evidence, wide.target, wide.source, config)
+        yield
+    return _concluded(evidence, wide, maps, config)
+
+
+def _concluded(evidence: LoopEvidence, pair: _Pair, maps: LocalMaps, config: LoopConfig) -> LoopEvidence:
+    poses = maps.submaps.T_odom_imu(evidence.query), maps.submaps.T_odom_imu(evidence.match)
+    return with_blur(_with_shift(evidence, *poses), pair.target, pair.source, config)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,10 +184,16 @@ class _Pair:
         freeze(self)
 
 
-def _pair(query: int, match: int, maps: LocalMaps, relative: RelativePose, config: LoopConfig, smear: float) -> _Pair:
+def _pair(
+    query: int, match: int, maps: LocalMaps, relative: RelativePose, config: LoopConfig, smear: float
+) -> Generator[None, None, _Pair]:
     begin = window_end(query, max(0, query - config.before), relative, smear)
     first = window_end(match, max(0, match - config.before), relative, smear)
     last = window_end(match, min(match + config.after, query - 1), relative, smear)
+    for centre, ends in ((match, (first, last)), (query, (begin, query))):
+        if not maps.holds(centre, *ends):
+            maps.around(centre, *ends)
+            yield
     return _Pair(
         target=maps.around(match, first, last),
         source=maps.around(query, begin, query),
@@ -154,7 +216,8 @@ def _refined(
     covariance = _covariance(result, fine.bent, config)
     if not near(T, result.T_target_source, config.same, config.same_deg):
         return replace(evidence, lead=1.0)
-    odom = evidence.T_match_query_odom, result.T_target_source, evidence.odom_covariance + covariance
+    off = evidence.odom_covariance + covariance + diagonal(config.slack_deg, config.slack)
+    odom = evidence.T_match_query_odom, result.T_target_source, off
     return replace(
         evidence, T_match_query=result.T_target_source, covariance=covariance, odom_mahalanobis=mahalanobis(*odom)
     )
@@ -185,7 +248,7 @@ def _evidence_of(
         weakest=0.0 if result.observability is None else float(result.observability.translation[0].information),
         T_match_query_odom=prior[0],
         odom_covariance=prior[1],
-        odom_mahalanobis=mahalanobis(prior[0], best.T, prior[1] + best.covariance),
+        odom_mahalanobis=_off(best, prior, config),
         starts=len(fitted),
         agreeing=sum(near(one.T, best.T, config.same, config.same_deg) for one in fitted if one.evidence > 0.0),
         lead=_lead(best, fitted, prior, config),
@@ -254,8 +317,12 @@ def _distinct(starts: Sequence[LoopStart], prior: tuple[Array, Array], config: L
 
 def guess_distance(T: Array, prior: tuple[Array, Array], config: LoopConfig) -> float:
     """Return the squared distance from odometry's pose of a guess that is good to a few edges of the finest cubes."""
-    sigma = np.concatenate([np.full(3, np.radians(config.same_deg)), np.full(3, 2.0 * config.voxel)])
-    return mahalanobis(prior[0], T, prior[1] + np.diag(sigma**2))
+    return mahalanobis(prior[0], T, prior[1] + diagonal(config.same_deg, 2.0 * config.voxel))
+
+
+def _off(one: _Fitted, prior: tuple[Array, Array], config: LoopConfig) -> float:
+    """Squared distance of a pose from odometry's, in both covariances and the slack."""
+    return mahalanobis(prior[0], one.T, prior[1] + one.covariance + diagonal(config.slack_deg, config.slack))
 
 
 def _lead(best: _Fitted, fitted: Sequence[_Fitted], prior: tuple[Array, Array], config: LoopConfig) -> float:
@@ -263,13 +330,12 @@ def _lead(best: _Fitted, fitted: Sequence[_Fitted], prior: tuple[Array, Array], 
     others = [
         one.evidence
         for one in fitted
-        if not near(one.T, best.T, config.same, config.same_deg)
-        and mahalanobis(prior[0], one.T, prior[1] + one.covariance) <= gate
+        if not near(one.T, best.T, config.same, config.same_deg) and _off(one, prior, config) <= gate
     ]
     rival = max(others, default=0.0)
     return best.evidence / rival if rival > 0.0 else float("inf")
 
 
 def _covariance(result: AlignResult, bent: Array, config: LoopConfig) -> Array:
-    floor = bent + np.diag(np.repeat([np.radians(config.sigma_deg), config.sigma], 3) ** 2)
-    return np.asarray(floor if result.covariance is None else result.covariance + floor)
+    floor = bent + diagonal(config.sigma_deg, config.sigma)
+    return np.asarray(floor if result.covariance is None else config.correlation * result.covariance + floor)

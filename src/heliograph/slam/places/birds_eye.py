@@ -9,6 +9,7 @@ References
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ Floats = NDArray[np.float32]
 _ANGLES = 60  # projections over half a turn: 3 degrees apart, well inside what registration pulls in
 _FREQUENCIES = 12  # of the offset, the constant one left out: down to a twelfth of the picture's diagonal
 _LAYERS = 64
+_IMAGES = 128  # spectra of pictures that are kept, 84 kB each as configured
 _MARGIN = 1.5  # of the picture's side: shifts up to half of it do not wrap around
 
 
@@ -60,6 +62,7 @@ class BirdsEyeDetector:
         self.config = config or PlacesConfig()
         self._bits = self.config.size**2 // 8
         self._table = DescriptorTable(self._bits + _ANGLES * _FREQUENCIES + _LAYERS)
+        self._images: OrderedDict[int, tuple[_Parts, NDArray[np.complex64]]] = OrderedDict()
         self._padded = _fast_length(int(_MARGIN * self.config.size))
 
     def __len__(self) -> int:
@@ -131,8 +134,7 @@ class BirdsEyeDetector:
         turned: dict[int, NDArray[np.complex64]] = {}
         found = []
         for row, turn in zip(rows, turns, strict=True):
-            match = self._parts(self._table.rows(np.array([row]))[0])
-            image = np.fft.rfft2(_spread(match.picture), s=(self._padded, self._padded))
+            match, image = self._stored(int(row))
             best = (-1.0, 0, 0, 0)
             for half in (int(turn), int(turn) + _ANGLES):
                 if half not in turned:
@@ -141,6 +143,17 @@ class BirdsEyeDetector:
             norm = np.sqrt(max(len(cells), 1) * max(int(match.picture.sum()), 1))
             found.append(self._match(int(row), best, float(norm), _lift(match.heights, query.heights)))
         return found
+
+    def _stored(self, row: int) -> tuple[_Parts, NDArray[np.complex64]]:
+        """Return a row taken apart and the spectrum of its picture: the same rows are asked for by many queries."""
+        if row not in self._images:
+            match = self._parts(self._table.rows(np.array([row]))[0])
+            image = np.fft.rfft2(_spread(match.picture), s=(self._padded, self._padded)).astype(np.complex64)
+            self._images[row] = match, image
+            while len(self._images) > _IMAGES:
+                self._images.popitem(last=False)
+        self._images.move_to_end(row)
+        return self._images[row]
 
     def _turned(self, cells: Array, steps: int) -> Floats:
         """Picture of the query's occupied cells turned about its middle, zero-padded."""
