@@ -22,7 +22,7 @@ from heliograph.slam.store import KeyframeStore
 __all__ = ["KEYFRAMES", "MovedKeyframes", "NoSlam", "SlamSession"]
 
 KEYFRAMES = "keyframes"
-_ALL = 10_000  # pieces of a search: where nobody waits, nothing is put off
+_ALL = 10_000  # pieces of a search: where nobody waits, nothing is deferred
 
 
 class MovedKeyframes(NamedTuple):
