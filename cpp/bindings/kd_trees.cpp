@@ -65,6 +65,12 @@ void bind_kd_trees(nb::module_& m) {
       .def("__len__", &KdTree::size)
       .def("bytes", &KdTree::bytes)
       .def("nearest", &nearest, "queries"_a.noconvert(), "count"_a, "max_distance"_a);
+  nb::class_<SeenCubes>(m, "SeenCubes")
+      .def(nb::init<double>(), "edge"_a)
+      .def("__len__", &SeenCubes::size)
+      .def("prune", [](SeenCubes& seen, const Vector3& centre, double radius) { seen.prune(centre.data(), radius); },
+           "centre"_a.noconvert(), "radius"_a)
+      .def("clear", &SeenCubes::clear);
   nb::class_<IncrementalKdTree>(m, "IncrementalKdTree")
       .def(nb::init<double, double>(), "spacing"_a, "balance"_a)
       .def("__len__", &IncrementalKdTree::size)
@@ -75,10 +81,15 @@ void bind_kd_trees(nb::module_& m) {
       .def("insert", [](IncrementalKdTree& tree, const Points& points) { return unlocked([&] { return tree.insert(span_of(points)); }); },
            "points"_a.noconvert())
       .def("insert_scan",
-           [](IncrementalKdTree& tree, const Points& points, const Matrix4& T, double edge) {
-             return unlocked([&] { return insert_scan(tree, span_of(points), T.data(), edge); });
+           [](IncrementalKdTree& tree, const Points& points, const Matrix4& T, SeenCubes& seen) {
+             return unlocked([&] { return insert_scan(tree, span_of(points), T.data(), seen); });
            },
-           "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "edge"_a)
+           "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "seen"_a)
+      .def("forget_unseen",
+           [](IncrementalKdTree& tree, SeenCubes& seen, uint32_t insertions) {
+             unlocked([&] { forget_unseen(tree, seen, insertions); });
+           },
+           "seen"_a, "insertions"_a)
       .def("remove_box",
            [](IncrementalKdTree& tree, const Corner& low, const Corner& high) {
              return unlocked([&] { return tree.remove_box(low.data(), high.data()); });

@@ -68,10 +68,11 @@ void bind_maps(nb::module_& m) {
   nb::class_<VoxelMap>(m, "VoxelMap")
       .def("__init__",
            [](VoxelMap* self, double voxel, int levels, int min_points, int max_points, double max_thickness,
-              double min_spread, double point_spacing) {
-             new (self) VoxelMap({voxel, levels, min_points, max_points, max_thickness, min_spread, point_spacing});
+              double min_spread, double point_spacing, double uneven) {
+             new (self) VoxelMap({voxel, levels, min_points, max_points, max_thickness, min_spread, point_spacing, uneven});
            },
-           "voxel"_a, "levels"_a, "min_points"_a, "max_points"_a, "max_thickness"_a, "min_spread"_a, "point_spacing"_a)
+           "voxel"_a, "levels"_a, "min_points"_a, "max_points"_a, "max_thickness"_a, "min_spread"_a, "point_spacing"_a,
+           "uneven"_a)
       .def("insert",
            [](VoxelMap& map, const Points& points, const Matrix4& T) {
              nb::gil_scoped_release release;
@@ -84,6 +85,12 @@ void bind_maps(nb::module_& m) {
              map.prune(centre.data(), radius, max_voxels);
            },
            "centre"_a.noconvert(), "radius"_a, "max_voxels"_a)
+      .def("forget_unseen",
+           [](VoxelMap& map, uint32_t insertions) {
+             nb::gil_scoped_release release;
+             map.forget_unseen(insertions);
+           },
+           "insertions"_a)
       .def("__len__", &VoxelMap::size)
       .def("bytes", &VoxelMap::bytes)
       .def("planes", &voxel_planes);

@@ -5,7 +5,6 @@
 #include <cmath>
 #include <vector>
 
-#include "util/flat_index.hpp"
 #include "util/moments.hpp"
 #include "util/parallel.hpp"
 #include "util/voxel_key.hpp"
@@ -43,12 +42,27 @@ bool plane_at(const IncrementalKdTree& tree, const double* q, const NeighbourPla
   return true;
 }
 
+struct Box {
+  float low[3], high[3];
+};
+
+Box box_of(const Cube& cube, double edge) {
+  const double at[3] = {static_cast<double>(cube.x), static_cast<double>(cube.y), static_cast<double>(cube.z)};
+  Box box;
+  for (size_t k = 0; k < 3; ++k) {
+    box.low[k] = static_cast<float>(at[k] * edge);
+    box.high[k] = box.low[k] + static_cast<float>(edge);
+  }
+  return box;
+}
+
 }  // namespace
 
-double insert_scan(IncrementalKdTree& tree, std::span<const float> points_body, const double* T, double edge) {
+double insert_scan(IncrementalKdTree& tree, std::span<const float> points_body, const double* T, SeenCubes& seen) {
+  const double edge = seen.edge();
+  seen.begin();
   std::vector<float> odom;
   odom.reserve(points_body.size());
-  FlatIndex cubes(12);
   size_t touched = 0, fresh = 0;
   for (size_t i = 0; i + 2 < points_body.size(); i += 3) {
     const double p[3] = {static_cast<double>(points_body[i]), static_cast<double>(points_body[i + 1]), static_cast<double>(points_body[i + 2])};
@@ -57,15 +71,20 @@ double insert_scan(IncrementalKdTree& tree, std::span<const float> points_body, 
     if (!(std::abs(q[0]) < kFarthest && std::abs(q[1]) < kFarthest && std::abs(q[2]) < kFarthest)) continue;
     for (const double x : q) odom.push_back(static_cast<float>(x));
     const Cube cube{floor_index(q[0] / edge), floor_index(q[1] / edge), floor_index(q[2] / edge)};
-    if (!cubes.insert(pack(0, cube), 0).second) continue;
+    if (!seen.touch(cube)) continue;
     ++touched;
-    const float low[3] = {static_cast<float>(static_cast<double>(cube.x) * edge), static_cast<float>(static_cast<double>(cube.y) * edge),
-                          static_cast<float>(static_cast<double>(cube.z) * edge)};
-    const float high[3] = {low[0] + static_cast<float>(edge), low[1] + static_cast<float>(edge), low[2] + static_cast<float>(edge)};
-    fresh += !tree.any_in_box(low, high);
+    const Box box = box_of(cube, edge);
+    fresh += !tree.any_in_box(box.low, box.high);
   }
   tree.insert(odom);
   return touched > 0 ? static_cast<double>(fresh) / static_cast<double>(touched) : 0.0;
+}
+
+void forget_unseen(IncrementalKdTree& tree, SeenCubes& seen, uint32_t insertions) {
+  for (const Cube& cube : seen.forget_unseen(insertions)) {
+    const Box box = box_of(cube, seen.edge());
+    tree.remove_box(box.low, box.high);
+  }
 }
 
 void neighbour_planes(const IncrementalKdTree& tree, std::span<const double> queries,

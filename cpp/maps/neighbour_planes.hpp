@@ -4,12 +4,16 @@
 #include <span>
 
 #include "maps/incremental_kd_tree.hpp"
+#include "maps/seen_cubes.hpp"
 
 namespace heliograph {
 
-// Adds points of the body frame at pose T_odom_body (row-major 4x4). Returns which share of the cubes of `edge` that
-// they touch held no point before.
-double insert_scan(IncrementalKdTree& tree, std::span<const float> points_body, const double* T_odom_body, double edge);
+// Adds points of the body frame at pose T_odom_body (row-major 4x4), and the cubes that they touch to those seen.
+// Returns which share of these held no point before.
+double insert_scan(IncrementalKdTree& tree, std::span<const float> points_body, const double* T_odom_body, SeenCubes& seen);
+
+// Forgets the points in cubes that none of the last `insertions` scans touched.
+void forget_unseen(IncrementalKdTree& tree, SeenCubes& seen, uint32_t insertions);
 
 struct NeighbourPlaneSettings {
   size_t neighbours;

@@ -30,9 +30,9 @@ bool PointGrid::has_room(const PointBucket& bucket, const float* xyz) const {
   return true;
 }
 
-void PointGrid::accepts(std::span<const double* const> points, bool* answers) const {
+void PointGrid::accepts(std::span<const double* const> points, uint32_t insertion, bool* answers) {
   std::array<Place, kBatch> places;
-  std::array<const FlatIndex::Slot*, kBatch> slots;
+  std::array<FlatIndex::Slot*, kBatch> slots;
   for (size_t begin = 0; begin < points.size(); begin += kBatch) {
     const size_t batch = std::min(kBatch, points.size() - begin);
     for (size_t k = 0; k < batch; ++k) {
@@ -41,7 +41,9 @@ void PointGrid::accepts(std::span<const double* const> points, bool* answers) co
     }
     for (size_t k = 0; k < batch; ++k) {
       slots[k] = index_.find(places[k].key);
-      if (slots[k] == nullptr || slots[k]->full != 0) continue;
+      if (slots[k] == nullptr) continue;
+      slots[k]->seen = insertion & kSeenMask;
+      if (slots[k]->full != 0) continue;
       const auto* lines = reinterpret_cast<const char*>(buckets_.data() + slots[k]->value);
       for (size_t at = 0; at < sizeof(PointBucket); at += 64) __builtin_prefetch(lines + at);
     }
@@ -51,10 +53,11 @@ void PointGrid::accepts(std::span<const double* const> points, bool* answers) co
   }
 }
 
-void PointGrid::insert(const double* p) {
+void PointGrid::insert(const double* p, uint32_t insertion) {
   const Place at = place(p);
   const auto [slot, is_new] = index_.place(at.key, static_cast<uint32_t>(buckets_.size()));
   if (is_new) buckets_.push_back({at.key, 0, {}, {}, {}});
+  slot->seen = insertion & kSeenMask;
   PointBucket& bucket = buckets_[slot->value];
   if (!has_room(bucket, at.xyz)) return;
   bucket.x[bucket.count] = at.xyz[0];
@@ -64,19 +67,29 @@ void PointGrid::insert(const double* p) {
 }
 
 void PointGrid::prune(const double* centre, double radius) {
-  std::vector<PointBucket> kept;
-  FlatIndex index;
-  for (const PointBucket& bucket : buckets_) {
-    const Cube cube = unpack(bucket.key);
+  std::vector<uint8_t> wanted(buckets_.size());
+  for (size_t id = 0; id < buckets_.size(); ++id) {
+    const Cube cube = unpack(buckets_[id].key);
     const double dx = (static_cast<double>(cube.x) + 0.5) * size_ - centre[0];
     const double dy = (static_cast<double>(cube.y) + 0.5) * size_ - centre[1];
     const double dz = (static_cast<double>(cube.z) + 0.5) * size_ - centre[2];
-    if (dx * dx + dy * dy + dz * dz > radius * radius) continue;
-    index.place(bucket.key, static_cast<uint32_t>(kept.size())).first->full = bucket.count == kBucketSize ? 1 : 0;
-    kept.push_back(bucket);
+    wanted[id] = dx * dx + dy * dy + dz * dz <= radius * radius ? 1 : 0;
   }
-  buckets_ = std::move(kept);
-  index_ = std::move(index);
+  keep(wanted);
+}
+
+void PointGrid::forget_before(uint32_t oldest) {
+  keep(index_.seen_since(oldest));
+}
+
+void PointGrid::keep(const std::vector<uint8_t>& wanted) {
+  const auto kept = static_cast<size_t>(std::count(wanted.begin(), wanted.end(), 1));
+  if (kept == wanted.size()) return;
+  index_.keep(wanted);
+  size_t next = 0;
+  for (size_t id = 0; id < wanted.size(); ++id)
+    if (wanted[id] != 0) buckets_[next++] = buckets_[id];
+  buckets_.resize(next);
 }
 
 }  // namespace heliograph

@@ -23,14 +23,18 @@ class PointGrid {
   PointGrid(double size, double spacing) : size_(size), spacing2_(static_cast<float>(spacing * spacing)) {}
 
   // For each of some points (odom frame), whether its cube is neither full nor holds a point nearer than the spacing.
-  // Answers together what would be slow one by one: the table is larger than any cache.
-  void accepts(std::span<const double* const> points, bool* answers) const;
+  // Answers together what would be slow one by one: the table is larger than any cache. Their cubes have been seen by
+  // then, in the insertion of number `insertion`.
+  void accepts(std::span<const double* const> points, uint32_t insertion, bool* answers);
 
   // Adds a point if it would be accepted.
-  void insert(const double* p);
+  void insert(const double* p, uint32_t insertion);
 
   // Keeps the cubes whose centre lies within `radius` of `centre`.
   void prune(const double* centre, double radius);
+
+  // Keeps the cubes that were seen in insertion `oldest` or later.
+  void forget_before(uint32_t oldest);
 
   double size() const { return size_; }
   const FlatIndex& index() const { return index_; }
@@ -43,6 +47,7 @@ class PointGrid {
     float xyz[3];  // relative to the cube's centre
   };
   Place place(const double* p) const;
+  void keep(const std::vector<uint8_t>& wanted);
   bool has_room(const PointBucket& bucket, const float* xyz) const;
 
   double size_;

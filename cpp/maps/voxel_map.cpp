@@ -23,6 +23,8 @@ constexpr int kRankBits = 10;
 constexpr double kChance = 4.0, kBend = 9.0;
 constexpr double kFlat = 9.0;  // least ratio of the spreads along and across a plane: less is an edge or a sliver
 constexpr double kBorrowed = 10.0;  // points whose scatter a plane borrows from the coarser one
+constexpr float kTold = 20.0F;  // points from which on a plane's scatter counts for that mean
+constexpr double kRemembered = 0.9;  // of that mean, from one insertion to the next
 
 }  // namespace
 
@@ -85,10 +87,11 @@ void VoxelMap::collect(const Spot& spot) {
 // The cube of a key, made if it is new, and counted in `created` then; kFull where nothing more goes in.
 uint32_t VoxelMap::locate(uint64_t key, size_t* created) {
   const auto [slot, is_new] = index_.place(key, static_cast<uint32_t>(planes_.size()));
+  slot->seen = insertions_ & kSeenMask;
   if (slot->full != 0) return kFull;
   if (is_new) {
     planes_.push_back({{0, 0, 0}, {0, 0, 0}, -1.0F, 0.0F});
-    moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0});
+    moments_.push_back({key, 0.0F, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0});
     ++*created;
   }
   return slot->value;
@@ -140,12 +143,12 @@ void VoxelMap::add_raw_points() {
   std::vector<const double*> raw(deltas_.size());
   std::transform(deltas_.begin(), deltas_.end(), raw.begin(), [](const Delta& delta) { return delta.raw; });
   const auto accepted = std::make_unique<bool[]>(raw.size());
-  points_.accepts(raw, accepted.get());
+  points_.accepts(raw, insertions_, accepted.get());
   std::vector<std::pair<uint64_t, const double*>> chosen;
   for (size_t k = 0; k < raw.size(); ++k)
     if (accepted[k]) chosen.emplace_back(deltas_[k].key, raw[k]);
   std::sort(chosen.begin(), chosen.end());
-  for (const auto& [key, point] : chosen) points_.insert(point);
+  for (const auto& [key, point] : chosen) points_.insert(point, insertions_);
 }
 
 void VoxelMap::refit(uint32_t id) {
@@ -178,16 +181,24 @@ void VoxelMap::refit(uint32_t id) {
     plane.centroid[i] = static_cast<float>(mean[i]);
   }
   // Three numbers of the plane were fitted to the same points, so their scatter about it is too small by as many of them.
-  plane.variance = static_cast<float>(std::max(thinnest, 1e-8) / std::max(n - 3.0, 1.0));
+  m.thin = static_cast<float>(std::max(thinnest, 1e-8));
+  const double shape = shape_of(m.thin, settings_.uneven);
+  plane.variance = static_cast<float>(shape + static_cast<double>(m.thin) / std::max(n - 3.0, 1.0));
   // First order of the eigenvector's error, for the axis along which it is worse.
   plane.inv_spread = static_cast<float>(spread[1] / ((spread[1] - thinnest) * (spread[1] - thinnest)));
-  lean_on_coarser(m, &plane);
+  lean_on_coarser(m, shape, &plane);
+}
+
+// What scatters more than noise does on even surfaces is no plane but a step or an edge that a plane was laid through.
+// That part is a property of the place: it does not average out with points, nor from scan to scan.
+double VoxelMap::shape_of(double thin, double times) const {
+  return even_.count > 0.0 && settings_.uneven > 0.0 ? std::max(thin - times * even_.sum / even_.count, 0.0) : 0.0;
 }
 
 // A plane of a quarter of a metre knows its normal to a degree or two, the one around it many times better. Where both
 // agree within that, as on a wall, they are averaged by what they know; what they differ by beyond chance counts as the
 // surface's own bend (an estimate of one sample, as in empirical Bayes), and the finer one is left alone.
-void VoxelMap::lean_on_coarser(const Moments& m, Plane* plane) const {
+void VoxelMap::lean_on_coarser(const Moments& m, double shape, Plane* plane) {
   const uint64_t level = key_level(m.key) + 1;
   if (level >= static_cast<uint64_t>(settings_.levels)) return;
   const Cube cube = unpack(m.key);
@@ -196,9 +207,8 @@ void VoxelMap::lean_on_coarser(const Moments& m, Plane* plane) const {
   const Plane& coarse = planes_[slot->value];
   // The scatter of eight points about their plane is a poor guess of the noise; the coarser cube's counts as ten more.
   const double free = std::max(static_cast<double>(m.fitted) - 3.0, 1.0);
-  const double around = std::max(static_cast<double>(moments_[slot->value].fitted) - 3.0, 1.0);
-  const double thin = free * static_cast<double>(plane->variance), thick = around * static_cast<double>(coarse.variance);
-  plane->variance = static_cast<float>(std::max(thin, (free * thin + kBorrowed * thick) / (free + kBorrowed)) / free);
+  const double thin = m.thin, thick = moments_[slot->value].thin;
+  const double noise = std::max(thin, (free * thin + kBorrowed * thick) / (free + kBorrowed)) / free;
   double dot = 0.0, apart = 0.0;
   for (int i = 0; i < 3; ++i) dot += static_cast<double>(plane->normal[i]) * static_cast<double>(coarse.normal[i]);
   const double sign = dot < 0.0 ? -1.0 : 1.0;
@@ -206,8 +216,15 @@ void VoxelMap::lean_on_coarser(const Moments& m, Plane* plane) const {
     const double d = static_cast<double>(plane->normal[i]) - sign * static_cast<double>(coarse.normal[i]);
     apart += 0.5 * d * d;  // a normal is off about two axes
   }
+  const double by_noise = noise * static_cast<double>(plane->inv_spread);
+  const bool bent = apart > kBend * by_noise;
+  plane->variance = static_cast<float>(noise + (bent ? std::max(shape, shape_of(thin, 1.0)) : shape));
   const double own = static_cast<double>(plane->variance) * static_cast<double>(plane->inv_spread);
   const double known = static_cast<double>(coarse.variance) * static_cast<double>(coarse.inv_spread);
+  if (level == 1 && m.fitted >= kTold && apart <= kChance * by_noise) {
+    fresh_.sum += thin * static_cast<double>(m.fitted) / free;
+    fresh_.count += 1.0;
+  }
   const double theirs = known + std::max(apart - kChance * own, 0.0);
   Eigen::Vector3d normal;
   for (int i = 0; i < 3; ++i)
@@ -228,11 +245,24 @@ double VoxelMap::insert(std::span<const float> points_body, const double* T_odom
   for (size_t begin = 0; begin < deltas_.size(); begin += kBatch)
     created += add_batch(std::span<const Delta>(deltas_).subspan(begin, std::min(kBatch, deltas_.size() - begin)));
   add_raw_points();
+  const bool first = even_.count <= 0.0;
+  refit_touched();
+  if (first && even_.count > 0.0) {  // known only now: judge what was fitted without it again
+    for (const auto& ids : touched_)
+      for (const uint32_t id : ids) moments_[id].fitted = 0.0F;
+    refit_touched();
+  }
+  const size_t surroundings = coarse_cubes();
+  return surroundings == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(surroundings);
+}
+
+void VoxelMap::refit_touched() {
   // Coarse cubes first: finer ones lean on them.
   for (size_t level = touched_.size(); level-- > 0;)
     for (const uint32_t id : touched_[level]) refit(id);
-  const size_t surroundings = coarse_cubes();
-  return surroundings == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(surroundings);
+  if (fresh_.count > 0.0)
+    even_ = {kRemembered * even_.sum + fresh_.sum, kRemembered * even_.count + fresh_.count};
+  fresh_ = {};
 }
 
 // How many of the coarsest cubes the deltas reach.
@@ -265,20 +295,30 @@ void VoxelMap::prune(const double* centre, double radius, size_t max_voxels) {
     std::nth_element(sorted.begin(), nth, sorted.end());
     limit2 = std::min(limit2, *nth);
   }
-  FlatIndex index;
-  size_t kept = 0;
-  for (size_t id = 0; id < planes_.size(); ++id) {
-    if (distance2[id] > limit2) continue;
-    planes_[kept] = planes_[id];
-    moments_[kept] = moments_[id];
-    const bool full = moments_[kept].count >= static_cast<float>(settings_.max_points);
-    index.place(moments_[kept].key, static_cast<uint32_t>(kept)).first->full = full ? 1 : 0;
-    ++kept;
-  }
-  planes_.resize(kept);
-  moments_.resize(kept);
-  index_ = std::move(index);
+  std::vector<uint8_t> wanted(planes_.size());
+  for (size_t id = 0; id < planes_.size(); ++id) wanted[id] = distance2[id] <= limit2 ? 1 : 0;
+  keep(wanted);
   points_.prune(centre, std::sqrt(limit2));
+}
+
+void VoxelMap::forget_unseen(uint32_t insertions) {
+  const uint32_t oldest = insertions_ >= insertions ? insertions_ - insertions + 1 : 0;
+  keep(index_.seen_since(oldest));
+  points_.forget_before(oldest);
+}
+
+void VoxelMap::keep(const std::vector<uint8_t>& wanted) {
+  const auto kept = static_cast<size_t>(std::count(wanted.begin(), wanted.end(), 1));
+  if (kept == wanted.size()) return;
+  index_.keep(wanted);
+  size_t next = 0;
+  for (size_t id = 0; id < wanted.size(); ++id) {
+    if (wanted[id] == 0) continue;
+    planes_[next] = planes_[id];
+    moments_[next++] = moments_[id];
+  }
+  planes_.resize(next);
+  moments_.resize(next);
 }
 
 size_t VoxelMap::bytes() const {

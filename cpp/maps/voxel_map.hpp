@@ -18,6 +18,7 @@ struct VoxelMapSettings {
   double max_thickness;   // largest standard deviation across a plane [m]
   double min_spread;      // smallest standard deviation along it, as a share of the cube's edge
   double point_spacing;   // of the raw points kept for the nearest-neighbour fallback [m]
+  double uneven;          // times the scatter of even surfaces, beyond which scatter is shape and no noise; 0: all is noise
 };
 
 // What a query reads: one half of a cache line.
@@ -33,6 +34,7 @@ struct Moments {
   uint64_t key;
   float count;
   float fitted;        // count at the last fit
+  float thin;          // mean square of the points' distances from the plane fitted then [m^2]
   float sum[3];        // relative to the cube's centre
   float outer[6];      // xx xy xz yy yz zz
   uint32_t touched;    // number of the last insertion that added to it
@@ -48,6 +50,9 @@ class VoxelMap {
 
   // Keeps the cubes within `radius` of `centre`, and of those at most `max_voxels`, the nearest.
   void prune(const double* centre, double radius, size_t max_voxels);
+
+  // Keeps the cubes that a point of one of the last `insertions` insertions lay in, frozen ones too.
+  void forget_unseen(uint32_t insertions);
 
   size_t size() const { return planes_.size(); }
   size_t bytes() const;
@@ -83,8 +88,11 @@ class VoxelMap {
   void add(const Delta& delta, uint64_t key, uint32_t id);
   void add_raw_points();
   void refit(uint32_t id);
-  void lean_on_coarser(const Moments& m, Plane* plane) const;
+  void refit_touched();
+  void lean_on_coarser(const Moments& m, double shape, Plane* plane);
+  double shape_of(double thin, double times) const;
   size_t coarse_cubes();
+  void keep(const std::vector<uint8_t>& wanted);
 
   VoxelMapSettings settings_;
   FlatIndex index_;
@@ -96,6 +104,11 @@ class VoxelMap {
   std::vector<Delta> deltas_;
   std::vector<std::vector<uint32_t>> touched_;  // a level each
   uint32_t insertions_ = 0;
+  // Sum and number of the scatters about planes of even surfaces: of this insertion, and of those before it.
+  struct Scatter {
+    double sum = 0.0, count = 0.0;
+  };
+  Scatter fresh_, even_;
 };
 
 }  // namespace heliograph

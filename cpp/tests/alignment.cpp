@@ -51,8 +51,9 @@ void check_trees() {
 
 void check_planes() {
   IncrementalKdTree tree(0.0, 0.7);
-  CHECK_NEAR(insert_scan(tree, corner(), kIdentity, 1.0), 1.0, 0.0);
-  CHECK_NEAR(insert_scan(tree, corner(), kIdentity, 1.0), 0.0, 0.0);
+  SeenCubes seen(1.0);
+  CHECK_NEAR(insert_scan(tree, corner(), kIdentity, seen), 1.0, 0.0);
+  CHECK_NEAR(insert_scan(tree, corner(), kIdentity, seen), 0.0, 0.0);
   const std::vector<double> queries{2.95, 0.0, 0.0, 99.0, 0.0, 0.0, std::numeric_limits<double>::quiet_NaN(), 0.0, 0.0};
   float normal[9], variance[3];
   double point[9];
@@ -60,6 +61,11 @@ void check_planes() {
   neighbour_planes(tree, queries, {8, 1.0, 0.05, 0.03, 0.2}, {normal, point, variance, source}, 2);
   CHECK(source[0] == 255 && source[1] == 0 && source[2] == 0);
   CHECK_NEAR(std::abs(normal[0]), 1.0F, 1e-4F);
+  insert_scan(tree, {}, kIdentity, seen);
+  forget_unseen(tree, seen, 2);
+  CHECK(tree.size() > 0 && seen.size() > 0);
+  forget_unseen(tree, seen, 1);
+  CHECK(tree.size() == 0 && seen.size() == 0);
 }
 
 void check_iteration() {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
 // Open-addressing map from voxel keys to pool indices: one probe is one cache line, entries are never removed singly.
 #pragma once
+#include <bit>
 #include <cstdint>
 #include <utility>
 #include <vector>
@@ -9,13 +10,26 @@
 
 namespace heliograph {
 
+constexpr uint32_t kSeenMask = 0x7fffffffU;  // insertions that an index can tell apart
+
 class FlatIndex {
  public:
   struct Slot {
     uint64_t key;
     uint32_t value;
-    uint32_t full;  // for the owner: nothing more can be added to what `value` names, so it need not be looked at
+    // For the owner: nothing more can be added to what `value` names, so it need not be looked at; and the number of the
+    // last insertion that met it.
+    uint32_t full : 1;
+    uint32_t seen : 31;
   };
+
+  // Whether each value was met in insertion `oldest` or later, for owners whose values count up from 0.
+  std::vector<uint8_t> seen_since(uint32_t oldest) const {
+    std::vector<uint8_t> wanted(size_);
+    for (const Slot& slot : slots_)
+      if (slot.key != kNoKey) wanted[slot.value] = slot.seen >= oldest ? 1 : 0;
+    return wanted;
+  }
 
   explicit FlatIndex(size_t capacity_log2 = 12) { reset(capacity_log2); }
 
@@ -26,7 +40,7 @@ class FlatIndex {
       Slot& slot = slots_[i];
       if (slot.key == key) return {&slot, false};
       if (slot.key == kNoKey) {
-        slot = {key, value, 0};
+        slot = {key, value, 0, 0};
         ++size_;
         return {&slot, true};
       }
@@ -46,6 +60,20 @@ class FlatIndex {
       if (slots_[i].key == kNoKey) return nullptr;
     }
   }
+  Slot* find(uint64_t key) { return const_cast<Slot*>(std::as_const(*this).find(key)); }
+
+  // Forgets the entries of which `wanted[value]` is 0; those that stay are numbered anew, in the order of their values.
+  void keep(const std::vector<uint8_t>& wanted) {
+    std::vector<uint32_t> number(wanted.size());
+    uint32_t kept = 0;
+    for (size_t i = 0; i < wanted.size(); ++i) number[i] = wanted[i] != 0 ? kept++ : 0;
+    const std::vector<Slot> old = std::move(slots_);
+    reset(static_cast<size_t>(std::bit_width(2 * static_cast<size_t>(kept) + 1)));
+    size_ = kept;
+    for (const Slot& slot : old)
+      if (slot.key != kNoKey && wanted[slot.value] != 0)
+        settle({slot.key, number[slot.value], slot.full, slot.seen});
+  }
 
   void prefetch(uint64_t key) const { __builtin_prefetch(slots_.data() + (mix(key) & mask_), 1); }
 
@@ -61,21 +89,23 @@ class FlatIndex {
 
  private:
   void reset(size_t capacity_log2) {
-    slots_.assign(size_t{1} << capacity_log2, Slot{kNoKey, 0, 0});
+    slots_.assign(size_t{1} << capacity_log2, Slot{kNoKey, 0, 0, 0});
     mask_ = slots_.size() - 1;
     size_ = 0;
   }
 
   void grow() {
     std::vector<Slot> old = std::move(slots_);
-    slots_.assign(2 * old.size(), Slot{kNoKey, 0, 0});
+    slots_.assign(2 * old.size(), Slot{kNoKey, 0, 0, 0});
     mask_ = slots_.size() - 1;
-    for (const Slot& slot : old) {
-      if (slot.key == kNoKey) continue;
-      uint64_t i = mix(slot.key) & mask_;
-      while (slots_[i].key != kNoKey) i = (i + 1) & mask_;
-      slots_[i] = slot;
-    }
+    for (const Slot& slot : old)
+      if (slot.key != kNoKey) settle(slot);
+  }
+
+  void settle(const Slot& slot) {
+    uint64_t i = mix(slot.key) & mask_;
+    while (slots_[i].key != kNoKey) i = (i + 1) & mask_;
+    slots_[i] = slot;
   }
 
   std::vector<Slot> slots_;

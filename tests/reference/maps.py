@@ -20,6 +20,8 @@ class SlowVoxelMap:
         self.cubes = {}  # (level, cube) -> {"points": [...], "fitted": int, "plane": None or dict, "frozen": bool}
         self.point_size = config.voxel * (2.0 if config.levels > 1 else 1.0)
         self.buckets = {}
+        self.insertions, self.seen, self.seen_buckets = 0, {}, {}
+        self.even, self.fresh = np.zeros(2), []  # sum and number of scatters on even surfaces; those of this insertion
 
     def edge(self, level):
         return self.config.voxel * 2**level
@@ -35,19 +37,33 @@ class SlowVoxelMap:
             groups.setdefault(cube, []).append(q)
             ranks.setdefault(cube, []).append(rank(point, RANK_BITS))
         touched = []
+        self.insertions += 1
         for cube, group in sorted(groups.items()):
             for level in range(self.config.levels):
                 key = (level, tuple(c // 2**level for c in cube))
                 entry = self.cubes.setdefault(key, {"points": [], "fitted": 0, "plane": None, "frozen": False})
+                self.seen[key] = self.insertions
                 if not entry["frozen"]:
                     entry["points"] += group
                     touched.append(key)
             self._keep_raw(group[int(np.argmin(ranks[cube]))])
+        unknown = self.even[1] == 0.0
+        self._refit_touched(touched)
+        if unknown and self.even[1]:
+            for key in touched:
+                self.cubes[key]["fitted"] = 0
+            self._refit_touched(touched)
+
+    def _refit_touched(self, touched):
         for key in sorted(touched, key=lambda key: -key[0]):
             self._refit(key)
+        if self.fresh:
+            self.even = 0.9 * self.even + np.array([sum(self.fresh), len(self.fresh)])
+            self.fresh = []
 
     def _keep_raw(self, q):
         bucket = self.buckets.setdefault(cube_of(q, self.point_size), [])
+        self.seen_buckets[cube_of(q, self.point_size)] = self.insertions
         far = all(np.linalg.norm(q - other) >= self.config.point_spacing for other in bucket)
         if far and len(bucket) < BUCKET:
             bucket.append(q)
@@ -68,10 +84,15 @@ class SlowVoxelMap:
             entry["plane"] = {
                 "normal": vectors[:, 0],
                 "centroid": points.mean(axis=0),
-                "variance": max(thin, 1e-8) / max(n - 3.0, 1.0),
+                "variance": max(thin, 1e-8) / max(n - 3.0, 1.0) + self._shape(thin, self.config.uneven),
                 "inv_spread": spread / (spread - thin) ** 2,
+                "thin": max(thin, 1e-8),
             }
             self._lean_on_coarser(key, entry)
+
+    def _shape(self, thin, times):
+        """Variance of what is no plane: scatter beyond some times that of even surfaces, as of the last insertion."""
+        return max(thin - times * self.even[0] / self.even[1], 0.0) if self.even[1] and self.config.uneven else 0.0
 
     def _lean_on_coarser(self, key, entry):
         """Average the normal with that of the cube around it, by what both know, unless they differ beyond chance."""
@@ -79,12 +100,16 @@ class SlowVoxelMap:
         if around is None or not around["plane"]:
             return
         plane, coarse = entry["plane"], around["plane"]
-        free, more = (max(e["fitted"] - 3.0, 1.0) for e in (entry, around))
-        pooled = (free * free * plane["variance"] + 10.0 * more * coarse["variance"]) / (free + 10.0)
-        plane["variance"] = max(free * plane["variance"], pooled) / free
+        free = max(entry["fitted"] - 3.0, 1.0)
+        pooled = (free * plane["thin"] + 10.0 * coarse["thin"]) / (free + 10.0)
+        noise = max(plane["thin"], pooled) / free
         theirs_normal = coarse["normal"] * (-1.0 if plane["normal"] @ coarse["normal"] < 0.0 else 1.0)
         apart = 0.5 * np.sum((plane["normal"] - theirs_normal) ** 2)
+        by_noise = noise * plane["inv_spread"]
+        plane["variance"] = noise + self._shape(plane["thin"], 1.0 if apart > 9.0 * by_noise else self.config.uneven)
         own, known = (p["variance"] * p["inv_spread"] for p in (plane, coarse))
+        if key[0] == 0 and entry["fitted"] >= 20 and apart <= 4.0 * by_noise:
+            self.fresh.append(plane["thin"] * entry["fitted"] / free)
         theirs = known + max(apart - 4.0 * own, 0.0)
         normal = theirs * plane["normal"] + own * theirs_normal
         plane["normal"] = normal / np.linalg.norm(normal)
@@ -100,6 +125,11 @@ class SlowVoxelMap:
         self.cubes = {key: entry for key, entry in self.cubes.items() if distance[key] <= limit}
         middle = {cube: (np.array(cube) + 0.5) * self.point_size for cube in self.buckets}
         self.buckets = {c: b for c, b in self.buckets.items() if np.linalg.norm(middle[c] - centre) <= limit}
+
+    def forget_unseen(self, insertions):
+        last = self.insertions - insertions
+        self.cubes = {key: entry for key, entry in self.cubes.items() if self.seen[key] > last}
+        self.buckets = {cube: bucket for cube, bucket in self.buckets.items() if self.seen_buckets[cube] > last}
 
     def plane_at(self, q, gate):
         """Normal, point, variance at q, source, variance of the normal; None where no cube's plane is near enough."""

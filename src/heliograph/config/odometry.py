@@ -152,6 +152,9 @@ class MapConfig:
         Largest standard deviation of points across their plane [m].
     min_spread : float
         Least standard deviation along it, as a share of the cube's edge.
+    uneven : float
+        Scatter about a plane beyond this many times that of even surfaces is taken for the shape of the place, a step
+        or an edge: it makes offset and normal uncertain however many points there are. 0 takes all for noise.
     point_spacing : float
         Distance of the raw points kept for the nearest-neighbour fallback [m].
     fallback_range : float
@@ -160,6 +163,11 @@ class MapConfig:
         What lies farther from the sensor is forgotten [m].
     max_voxels : int
         Largest number of cubes.
+    window : float
+        What was not seen during the last part of the way, of this length, is forgotten [m]; 0 keeps all within
+        ``radius``. What comes back after that is a loop, and the back-end's to verify.
+    window_drift : float
+        One-sigma of the map's own drift that shortens the window: what it has moved by more is forgotten too [m].
     """
 
     voxel: float = 0.25
@@ -168,15 +176,18 @@ class MapConfig:
     max_points: int = 200
     max_thickness: float = 0.035
     min_spread: float = 0.12
+    uneven: float = 3.0
     point_spacing: float = 0.1
     fallback_range: float = 0.6
     radius: float = 150.0
     max_voxels: int = 2_000_000
+    window: float = 60.0
+    window_drift: float = 0.1
 
     def __post_init__(self) -> None:
-        check_range(
-            self, "voxel", "max_thickness", "min_spread", "point_spacing", "fallback_range", "radius", above=0.0
-        )
+        check_range(self, "voxel", "max_thickness", "min_spread", "point_spacing", "fallback_range", above=0.0)
+        check_range(self, "radius", "window_drift", above=0.0)
+        check_range(self, "window", "uneven", low=0.0)
         check_range(self, "levels", low=1, high=8)
         check_range(self, "min_points", "max_points", low=3)
         check_range(self, "max_voxels", low=1)

@@ -2,7 +2,7 @@
 
 from heliograph.maps.global_map import GlobalMap, MapCells
 from heliograph.maps.kd_tree import KdTreeMap
-from heliograph.maps.protocol import NEIGHBOURS, LocalMap, PlaneMatches
+from heliograph.maps.protocol import NEIGHBOURS, LocalMap, PlaneMatches, WindowedMap
 from heliograph.maps.transform import transformed
 from heliograph.maps.voxel_map import VoxelMap
 
@@ -14,5 +14,6 @@ __all__ = [
     "MapCells",
     "PlaneMatches",
     "VoxelMap",
+    "WindowedMap",
     "transformed",
 ]

@@ -32,20 +32,26 @@ class KdTreeMap:
         self.config = config if config is not None else KdTreeMapConfig()
         self.threads = threads
         self.native = _core.IncrementalKdTree(self.config.spacing, self.config.balance)
+        self._seen = _core.SeenCubes(self.config.cube)
 
     def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:
         """Add points (N, 3) of the body frame seen from the pose (4, 4); return the new share of the cubes touched."""
         points, pose = np.ascontiguousarray(points_body), np.ascontiguousarray(T_odom_body)
-        return float(self.native.insert_scan(points, pose, self.config.cube))
+        return float(self.native.insert_scan(points, pose, self._seen))
 
     def prune(self, centre_odom: NDArray[np.float64]) -> None:
         """Forget points beyond ``config.radius`` of ``centre_odom`` (3,), and the farthest of too many."""
         centre = np.asarray(centre_odom, dtype=np.float32)
         self.native.remove_beyond(centre, self.config.radius)
+        self._seen.prune(np.ascontiguousarray(centre_odom, dtype=np.float64), self.config.radius + self.config.cube)
         excess = len(self) - self.config.max_points
         if excess > 0:
             square = ((self.points().astype(np.float64) - centre_odom) ** 2).sum(axis=1)
             self.native.remove_beyond(centre, float(np.sqrt(np.partition(square, -excess)[-excess])) * (1.0 - 1e-6))
+
+    def forget_unseen(self, insertions: int) -> None:
+        """Forget points in cubes of ``config.cube`` that none of the last ``insertions`` insertions had one in."""
+        self.native.forget_unseen(self._seen, int(insertions))
 
     def remove_box(self, low_odom: NDArray[np.float64], high_odom: NDArray[np.float64]) -> int:
         """Forget the points in a box from ``low_odom`` to ``high_odom`` (3,), ends included; return how many."""
@@ -57,6 +63,7 @@ class KdTreeMap:
     def clear(self) -> None:
         """Forget everything."""
         self.native.clear()
+        self._seen.clear()
 
     def nearest(
         self, queries_odom: NDArray[np.float32], count: int, *, max_distance: float = np.inf

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
 
-__all__ = ["NEIGHBOURS", "LocalMap", "PlaneMatches"]
+__all__ = ["NEIGHBOURS", "LocalMap", "PlaneMatches", "WindowedMap"]
 
 NEIGHBOURS = 255
 """Source of a plane through nearest neighbours."""
@@ -76,4 +76,17 @@ class LocalMap(Protocol):
 
     def __len__(self) -> int:
         """Return the number of stored elements; 0 when nothing can be matched."""
+        ...
+
+
+@runtime_checkable
+class WindowedMap(LocalMap, Protocol):
+    """A local map that can forget what has not been seen for a while.
+
+    Without this verb a map keeps all that its own bounds allow: a sensor that returns after a long way is matched to
+    what it saw then, be it that place or one that looks alike.
+    """
+
+    def forget_unseen(self, insertions: int) -> None:
+        """Forget what none of the last ``insertions`` insertions added a point to, full elements included."""
         ...

@@ -38,7 +38,7 @@ class VoxelMap:
         """Forget everything: the next insertion begins a new map."""
         c = self.config
         self.native = _core.VoxelMap(
-            c.voxel, c.levels, c.min_points, c.max_points, c.max_thickness, c.min_spread, c.point_spacing
+            c.voxel, c.levels, c.min_points, c.max_points, c.max_thickness, c.min_spread, c.point_spacing, c.uneven
         )
 
     def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:
@@ -64,6 +64,10 @@ class VoxelMap:
         """
         centre = require_finite("centre_odom", as_array("centre_odom", centre_odom, np.float64, (3,)))
         self.native.prune(centre, self.config.radius, self.config.max_voxels)
+
+    def forget_unseen(self, insertions: int) -> None:
+        """Forget cubes and raw points that none of the last ``insertions`` insertions had a point in."""
+        self.native.forget_unseen(int(insertions))
 
     def planes_at(self, points_odom: NDArray[np.float64], *, gate: float, neighbours: bool = True) -> PlaneMatches:
         """Return for each point (N, 3) the finest plane whose cube holds it, else one through its neighbours.

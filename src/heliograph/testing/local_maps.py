@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import Array
 from heliograph.lie import so3
-from heliograph.maps import LocalMap
+from heliograph.maps import LocalMap, WindowedMap
 
 __all__ = ["Walls", "assert_local_map"]
 
@@ -17,7 +17,7 @@ __all__ = ["Walls", "assert_local_map"]
 def assert_local_map(make_map: Callable[[], LocalMap], rng: np.random.Generator) -> None:
     """Assert that a local map finds the walls it was shown, keeps to gate and bound, and forgets when it is cleared.
 
-    Empty and NaN clouds must leave it as it is.
+    Empty and NaN clouds must leave it as it is. One that is a `WindowedMap` forgets what was not seen for a while too.
 
     Parameters
     ----------
@@ -52,6 +52,8 @@ def assert_local_map(make_map: Callable[[], LocalMap], rng: np.random.Generator)
     local_map.prune(walls.centre + 1e5)
     _assert_nothing_found(local_map, cloud_odom, "a map pruned 100 km away")
     _assert_fills_again(local_map, cloud_body, T, cloud_odom, before.source, "a map pruned to nothing")
+    if isinstance(local_map, WindowedMap):
+        _assert_forgets_unseen(local_map, cloud_body, T, cloud_odom)
     local_map.clear()
     _assert_nothing_found(local_map, cloud_odom, "a cleared map")
     _assert_fills_again(local_map, cloud_body, T, cloud_odom, before.source, "a cleared map")
@@ -65,6 +67,23 @@ def _assert_fills_again(
     local_map.insert(cloud_body, T)
     found = local_map.planes_at(queries, gate=0.1)
     np.testing.assert_array_equal(found.source, source, err_msg=f"{case} does not fill again")
+
+
+def _assert_forgets_unseen(local_map: WindowedMap, cloud_body: NDArray[np.float32], T: Array, queries: Array) -> None:
+    """Assert that what was seen last stays, full or not, and that what was not goes, whenever it was first seen."""
+    away = np.array([80.0, 0.0, 0.0])
+    there = T.copy()
+    there[:3, 3] += away
+    for pose in (there, T, T, T, T, there, T):
+        local_map.insert(cloud_body, pose)
+    here, beyond = (local_map.planes_at(q, gate=0.1).source for q in (queries, queries + away))
+    local_map.forget_unseen(2)
+    for q, before, place in ((queries, here, "last"), (queries + away, beyond, "last but one")):
+        found = local_map.planes_at(q, gate=0.1).source
+        np.testing.assert_array_equal(found, before, err_msg=f"what was seen {place} is forgotten")
+    local_map.forget_unseen(1)
+    np.testing.assert_array_equal(local_map.planes_at(queries, gate=0.1).source, here, err_msg="seen last, forgotten")
+    assert not local_map.planes_at(queries + away, gate=0.1).source.any(), "what was seen the last time but one stays"
 
 
 class Walls:

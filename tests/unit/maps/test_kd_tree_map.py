@@ -6,12 +6,12 @@ import pytest
 from heliograph import _core
 from heliograph.config import KdTreeMapConfig
 from heliograph.errors import ConfigError, DataError
-from heliograph.maps import KdTreeMap, LocalMap
+from heliograph.maps import KdTreeMap, LocalMap, WindowedMap
 from heliograph.testing import assert_local_map
 
 
 def test_kd_tree_map_obeys_the_law(rng):
-    assert isinstance(KdTreeMap(), LocalMap)
+    assert isinstance(KdTreeMap(), LocalMap) and isinstance(KdTreeMap(), WindowedMap)
     assert_local_map(KdTreeMap, rng)
 
 

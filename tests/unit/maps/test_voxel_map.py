@@ -101,6 +101,26 @@ def test_prune_equals_its_twin(rng, radius, count):
     assert len(fast) > 0
 
 
+@pytest.mark.parametrize("levels", [1, 3])
+def test_what_was_not_seen_for_a_while_is_forgotten_as_by_its_twin(rng, levels):
+    config = replace(CONFIG, levels=levels, max_points=60)
+    corners = [room_cloud(rng, 900)[k::3] + np.float32([2.0 * k, 0.0, 0.0]) for k in (0, 1, 2, 0, 1, 0)]
+    fast, slow = filled(config, corners, [np.eye(4)] * len(corners))
+    sizes = []
+    for insertions in (6, 3, 2, 1):
+        fast.forget_unseen(insertions)
+        slow.forget_unseen(insertions)
+        assert_same_cubes(fast, slow)
+        queries = np.concatenate(corners)[::9].astype(np.float64)
+        expected = [find_slowly(slow, q, 0.2, fallback=True) for q in queries]
+        np.testing.assert_array_equal(fast.planes_at(queries, gate=0.2).source, [e[3] if e else 0 for e in expected])
+        sizes.append(len(fast))
+    assert sizes[0] > sizes[1] > sizes[3] > 0
+    for local_map in (fast, slow):  # and it goes on as any other
+        local_map.insert(corners[2], np.eye(4))
+    assert_same_cubes(fast, slow)
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("levels", [1, 3])
 def test_query_equals_brute_force(seed, levels):

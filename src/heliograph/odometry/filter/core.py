@@ -61,7 +61,7 @@ class FilterCore:
         self._motion, self._config, self._threads = motion, config, threads
         self._calibration = calibration_of(start, config.filter)
         self._keeper = MapKeeper(
-            local_map if local_map is not None else VoxelMap(config.map), config.filter, start.p_odom
+            local_map if local_map is not None else VoxelMap(config.map), config.filter, config.map, start.p_odom
         )
         self._matcher = ScanMatcher(config, threads=threads)
         self._deskews = config.cloud.deskew != "off"

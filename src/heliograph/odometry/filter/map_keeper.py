@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import Array
-from heliograph.config import FilterConfig
+from heliograph.config import FilterConfig, MapConfig
 from heliograph.data import NavState
 from heliograph.data.error_layout import POSE_DIM
 from heliograph.imu import ErrorGrowth
-from heliograph.maps import LocalMap
+from heliograph.maps import LocalMap, WindowedMap
 from heliograph.odometry.filter.drift import MapDrift
+from heliograph.odometry.filter.map_window import MapWindow
 from heliograph.registration import TrueShare
 
 __all__ = ["MapKeeper"]
@@ -21,21 +22,25 @@ _PRUNE_DISTANCE = 10.0  # the map is pruned when the sensor has gone this far [m
 
 
 class MapKeeper:
-    """A local map, how many scans it holds, and the drift of its frame.
+    """A local map, how many scans it holds, how far back it reaches, and the drift of its frame.
 
     Parameters
     ----------
     local_map : LocalMap
+        One that is no `WindowedMap` keeps all that its own bounds allow.
     config : FilterConfig
+    window : MapConfig
+        How far back the map reaches.
     centre : (3,) float64
         Where the sensor is, odom frame [m].
     """
 
-    def __init__(self, local_map: LocalMap, config: FilterConfig, centre: Array) -> None:
+    def __init__(self, local_map: LocalMap, config: FilterConfig, window: MapConfig, centre: Array) -> None:
         self.map = local_map
         self.scans = 0
         """Scans inserted since the map was begun."""
         self._drift = MapDrift(config.systematic)
+        self._window = MapWindow(window)
         self._pruned_at = centre
 
     @property
@@ -50,7 +55,7 @@ class MapKeeper:
         state: NavState,
         seen: TrueShare | None,
     ) -> NavState:
-        """Insert a scan, account for what the map's frame may have drifted by that, and forget what is far away.
+        """Insert a scan, account for what the map's frame may have drifted by that, and forget what is far or long ago.
 
         Returns the state in the frame that the map defines now; it differs in its covariance only.
 
@@ -74,6 +79,9 @@ class MapKeeper:
                 state = self._drift.hand_over(state, seen.blind())
             # Matched with one match an axis; all of them tell a third of their number as much.
             state = self._drift.grow(state, share, seen.covariance() * seen.matches / 3.0)
+        vouching = self._window.moved(state.p_odom, self._drift.walked)
+        if vouching is not None and isinstance(self.map, WindowedMap):
+            self.map.forget_unseen(vouching)
         if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:
             self.map.prune(state.p_odom)
             self._pruned_at = state.p_odom
@@ -90,6 +98,7 @@ class MapKeeper:
     def begin_anew(self, state: NavState) -> None:
         """Forget the map; the next scan's pose ties the new one to the odom frame, with the error that it has now."""
         self._drift.hand_over(state, np.eye(POSE_DIM))
+        self._window.begin()
         self.map.clear()
 
     def pose_covariance(self, state: NavState) -> Array:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from heliograph.config import FilterConfig
+from heliograph.config import FilterConfig, MapConfig
 from heliograph.odometry.filter.map_keeper import MapKeeper
 from neighbour_map import NeighbourMap
 from states import random_state, room_cloud
@@ -24,7 +24,7 @@ class Watched(NeighbourMap):
 
 @pytest.fixture
 def keeper():
-    return MapKeeper(Watched(), FilterConfig(systematic=0.0), np.zeros(3))
+    return MapKeeper(Watched(), FilterConfig(systematic=0.0), MapConfig(), np.zeros(3))
 
 
 def extended(keeper, state, cloud, *, matched=True):

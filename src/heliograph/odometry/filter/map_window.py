@@ -1,0 +1,90 @@
+"""How far back the local map reaches: by the way gone since, and by what the map's frame may have drifted since.
+
+What a scan is matched to is what the odometry's own covariance vouches for. A surface lies where the pose that saw it
+last has put it, and the pose of now differs from that one by the drift in between. Matched all the same, it closes a
+loop without asking whether the place is the same: the floor below, the next of three equal corridors. Such loops are
+the back-end's, which verifies them. What is still in view is seen anew by every scan and stays, however long the way.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliograph.arrays import Array
+from heliograph.config import MapConfig
+from heliograph.odometry.filter.drift import Walked
+
+__all__ = ["MapWindow"]
+
+_STRIDE = 0.5  # the way counts in strides of this length, so that the noise of a pose at rest does not add up [m]
+_STEPS = 6.0  # the map is looked through for what has left the window this often while the sensor goes its length
+
+
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """How many scans had been inserted, and how far pose and frame had come by then."""
+
+    scans: int
+    way: float
+    walked: Walked
+
+
+class MapWindow:
+    """Tells from when on the map may be matched.
+
+    Parameters
+    ----------
+    config : MapConfig
+        ``window`` and ``window_drift``.
+    """
+
+    def __init__(self, config: MapConfig) -> None:
+        self._length, self._drift = config.window, config.window_drift
+        self._marks: deque[_Mark] = deque()
+        self._scans, self._way = 0, 0.0
+        self._at: Array | None = None
+        self._done: _Mark | None = None
+
+    def begin(self) -> None:
+        """Begin anew: the map was cleared."""
+        self._marks.clear()
+        self._scans, self._way, self._at, self._done = 0, 0.0, None, None
+
+    def moved(self, position_odom: Array, walked: Walked) -> int | None:
+        """Take in a scan that was inserted at a position (3,), and what the map's frame has walked until then.
+
+        Returns
+        -------
+        int or None
+            How many of the last scans vouch for a surface: what none of them has seen is to be forgotten. None where
+            the window has not moved on by enough to look.
+        """
+        if self._length <= 0.0:
+            return None
+        self._scans += 1
+        if self._at is None:
+            self._at = position_odom
+        stride = float(np.linalg.norm(position_odom - self._at))
+        if stride >= _STRIDE:
+            self._way, self._at = self._way + stride, position_odom
+        now = _Mark(self._scans, self._way, walked)
+        if self._marks and self._marks[-1].way == self._way and self._marks[-1].walked == walked:
+            self._marks[-1] = now
+        elif not self._marks or self._parts(self._marks[-1], now) > _STRIDE / self._length:
+            self._marks.append(now)
+        while len(self._marks) > 1 and self._parts(self._marks[1], now) > 1.0:
+            self._marks.popleft()
+        oldest = self._marks[0]
+        if self._parts(oldest, now) <= 1.0:
+            return None
+        if self._done is not None and self._parts(self._done, oldest) < 1.0 / _STEPS:
+            return None
+        self._done = oldest
+        return self._scans - oldest.scans
+
+    def _parts(self, a: _Mark, b: _Mark) -> float:
+        """Return which part of the window lies between two marks, by way or by drift, whichever is more."""
+        return max((b.way - a.way) / self._length, b.walked.since(a.walked) / self._drift)
