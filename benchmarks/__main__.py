@@ -24,6 +24,7 @@ from benchmarks import (
     loops,
     outliers,
     registration,
+    sigmas,
     speed,
     start,
     table,
@@ -34,7 +35,20 @@ _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
 _GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale", "graph-outliers")
 _CLOUDS = ("registration", "global", "blind", "kd-tree")
-_ALL = ("kitti", "sharpness", "speed", "start", *_GRAPHS, "imu", "imu-gnss", "lio", "calibrate", *_CLOUDS, "loops")
+_ALL = (
+    "kitti",
+    "sharpness",
+    "speed",
+    "start",
+    *_GRAPHS,
+    "imu",
+    "imu-gnss",
+    "lio",
+    "calibrate",
+    *_CLOUDS,
+    "loops",
+    "sigmas",
+)
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio")
 _RUNS = {
     "imu": 20,
@@ -46,6 +60,7 @@ _RUNS = {
     "graph-incremental": 5,
     "graph-outliers": 2,
     "loops": 3,
+    "sigmas": 20,
 }
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
@@ -75,6 +90,13 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--trials", type=int, default=100, help="recordings of each motion of `calibrate`")
     parser.add_argument("--first", type=int, default=0, help="seed of the first of them, to share them out")
     parser.add_argument("--motions", nargs="+", choices=calibrate.MOTIONS, default=calibrate.MOTIONS)
+    parser.add_argument(
+        "--scenarios",
+        nargs="+",
+        choices=list(sigmas.SIGMA_SCENARIOS),
+        default=list(sigmas.SIGMA_SCENARIOS),
+        help="for `sigmas`",
+    )
     parser.add_argument("--poses", type=int, default=1_000_000, help="length of the drive of `graph-incremental-scale`")
     return parser.parse_args()
 
@@ -113,7 +135,7 @@ def _graphs(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
 
 
 def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
-    """Run the benchmarks of registration, degeneracy, the k-d tree and loops."""
+    """Run the benchmarks of registration, degeneracy, sigmas, the k-d tree and loops."""
     rival, work = arguments.rival_bin / "python", arguments.work / "clouds"
 
     def python_of(system: str) -> Path:
@@ -132,6 +154,9 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         _write("blind", [*blind.alarms(), *blind.remapping(), *blind.update_cost()])
     if "kd-tree" in wanted:
         _write("kd_tree", [*kd_tree.measure_trees(work, rival), *kd_tree.drive(), *kd_tree.in_filter()])
+    if "sigmas" in wanted:
+        seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["sigmas"]))
+        _write("sigmas", list(sigmas.measure_sigmas(arguments.scenarios, seeds=seeds)))
     if "loops" in wanted:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["loops"]))
         _write("loops", loops.measure_loops(arguments.data.parent / "keyframes", seeds=seeds))

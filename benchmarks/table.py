@@ -18,6 +18,7 @@ from benchmarks.kd_tree import kd_tree_section
 from benchmarks.loops import loops_section
 from benchmarks.outliers import outliers_section
 from benchmarks.registration import registration_section
+from benchmarks.sigmas import sigmas_section
 from benchmarks.start import start_section
 
 __all__ = ["write_readme", "write_table"]
@@ -39,6 +40,7 @@ _OTHER_SECTIONS = {
     "blind": blind_section,
     "kd_tree": kd_tree_section,
     "loops": loops_section,
+    "sigmas": sigmas_section,
 }
 
 

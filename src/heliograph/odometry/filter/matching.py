@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,9 @@ from heliograph.imu import ErrorGrowth
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.calibrating import CalibrationTerms
 from heliograph.odometry.filter.error_state import mounting_error
+from heliograph.odometry.filter.innovation import InnovationTest
 from heliograph.odometry.filter.measurement import ScanMeasurement
-from heliograph.odometry.filter.update import FilterUpdate, iterated_update
+from heliograph.odometry.filter.update import FilterUpdate, iterated_update, weighed_less
 from heliograph.registration import MatchSettings, NormalEquations, linearize, true_share
 
 __all__ = ["AdaptiveNoise", "ScanMatcher", "Thinning", "register", "sweep_noise"]
@@ -209,6 +210,7 @@ class ScanMatcher:
         self.thinning = Thinning(config.cloud)
         self._config, self._threads = config.filter, threads
         self._usual_share = 0.0
+        self._innovations = InnovationTest()
 
     def match(
         self,
@@ -219,7 +221,10 @@ class ScanMatcher:
         terms: CalibrationTerms,
         sweep_noise: Array | None = None,
     ) -> FilterUpdate[ScanMeasurement] | None:
-        """Return what `register` makes of a scan, None where too few points match to trust it."""
+        """Return what `register` makes of a scan, None where too few points match to trust it.
+
+        Where an IMU predicts, and ``sweep_noise`` is given, a correction that it does not allow weighs less.
+        """
         fit = register(
             prior,
             local_map,
@@ -231,7 +236,19 @@ class ScanMatcher:
             terms=terms,
             sweep_noise=sweep_noise,
         )
-        return fit if self._trusted(prior, fit.measurement.sums, terms) else None
+        if not self._trusted(prior, fit.measurement.sums, terms):
+            return None
+        return fit if sweep_noise is None else self._believed(fit, prior, terms)
+
+    def _believed(
+        self, fit: FilterUpdate[ScanMeasurement], prior: NavState, terms: CalibrationTerms
+    ) -> FilterUpdate[ScanMeasurement]:
+        """Return the update with a registration that weighs as much as its agreement with the IMU allows."""
+        excess = self._innovations.excess(fit.nis)
+        self._innovations.add(fit.nis)
+        if excess > 1.0:
+            fit = weighed_less(fit, prior, fit.measurement.scaled(1.0 / excess), terms.considered)
+        return replace(fit, excess=excess)
 
     def _trusted(self, prior: NavState, found: NormalEquations, terms: CalibrationTerms) -> bool:
         """Whether enough points match; after a vague prediction that also means: about as many as before it.

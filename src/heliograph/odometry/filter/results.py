@@ -71,7 +71,7 @@ def scan_result(
         points_imu=points_imu,
         intensity=outcome.intensity,
         queries=outcome.queries,
-        events=_held_events(path, scan),
+        events=(*_held_events(path, scan), *_innovation_events(fit, scan)),
     )
     if fit is None or outcome.seen is None:
         return replace(common, status=_status_without_match(outcome, index, pose_covariance, config))
@@ -148,6 +148,17 @@ def _held_events(path: ImuPath, scan: Scan) -> tuple[Event, ...]:
         f"covariance grew"
     )
     return (Event(code="imu-held", message=text, stamp_ns=scan.stamp_ns),)
+
+
+def _innovation_events(fit: FilterUpdate[ScanMeasurement] | None, scan: Scan) -> tuple[Event, ...]:
+    if fit is None or fit.excess <= 1.0:
+        return ()
+    text = (
+        f"a scan's match moves the pose otherwise than the IMU allows (squared correction {fit.nis:.0f} times its "
+        f"variance, 6 is usual; {fit.excess:.1f} times what chance explains) and weighs so much less: look for a "
+        f"place that looks like another, a crowd, a shock, or an IMU that is off"
+    )
+    return (Event(code="match-against-imu", message=text, stamp_ns=scan.stamp_ns),)
 
 
 def _trajectory(path: ImuPath) -> Trajectory:

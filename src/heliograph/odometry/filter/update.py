@@ -20,7 +20,7 @@ from heliograph.data import NavState
 from heliograph.data.error_layout import POSE, POSITION, ROTATION
 from heliograph.odometry.filter.error_state import local, reset_jacobian, retract
 
-__all__ = ["FilterUpdate", "Linearization", "embedded", "iterated_update"]
+__all__ = ["FilterUpdate", "Linearization", "embedded", "iterated_update", "weighed_less"]
 
 
 class Linearization(Protocol):
@@ -57,6 +57,10 @@ class FilterUpdate(Generic[L]):
     """What is left of an error of the prior in the posterior, (K, K)."""
     nis: float
     """Squared correction of pose in units of its predicted uncertainty; 6 on average if matches erred independently."""
+    linearized_at: NavState
+    """Where the measurement was linearised last."""
+    excess: float = 0.0
+    """How many times too large that is for chance, alone or with the scans before; the measurement weighs less then."""
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -96,22 +100,12 @@ def iterated_update(
         Projects an error onto what must not move: its uncertainty counts in the gain of all else and stays as it is
         (S. Schmidt, "Application of state-space methods to navigation problems", 1966). The correlations are learnt.
     """
-    state, dim = prior, len(prior.covariance)
-    identity = np.eye(dim)
+    state = prior
     converged = False
     for iteration in range(max_iterations):
         measurement = linearize(state, iteration)
-        A, b = embedded(measurement, dim)
-        # The prior around the iterate: its mean lies at -offset, its covariance is carried over by the reset
-        # Jacobian.
-        offset = local(prior, state)
-        J = reset_jacobian(prior, offset)
-        P = J @ prior.covariance @ J.T
-        gain_form = np.linalg.inv(identity + P @ A)
-        step = -gain_form @ (P @ b + J @ offset)
-        if considered is not None:
-            step = step - considered @ step
-        before, state = state, retract(state, step)
+        last = _corrected(prior, state, measurement, considered)
+        state, step = last.state, last.step
         small = (
             float(np.linalg.norm(step[ROTATION])) < tolerance_rotation
             and float(np.linalg.norm(step[POSITION])) < tolerance_position
@@ -119,23 +113,67 @@ def iterated_update(
         if small and settled(iteration):
             converged = True
             break
-    J_step = reset_jacobian(before, step)
-    covariance = J_step @ gain_form @ P @ J_step.T
-    retained = J_step @ gain_form @ J
+    return _concluded(prior, last, measurement, considered, iterations=iteration + 1, converged=converged)
+
+
+def weighed_less(fit: FilterUpdate[L], prior: NavState, measurement: L, considered: Array | None) -> FilterUpdate[L]:
+    """Return an update with a measurement that counts less in place of its own, linearised where that one was."""
+    last = _corrected(prior, fit.linearized_at, measurement, considered)
+    less = _concluded(prior, last, measurement, considered, iterations=fit.iterations, converged=fit.converged)
+    return replace(less, nis=fit.nis)
+
+
+@dataclass(frozen=True, slots=True)
+class _Correction:
+    """One step from ``before`` to ``state``; ``gain_form`` is ``(I + P A)^-1``, P and J are the prior's there."""
+
+    before: NavState
+    state: NavState
+    step: Array
+    gain_form: Array
+    P: Array
+    J: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def _corrected(prior: NavState, state: NavState, measurement: Linearization, considered: Array | None) -> _Correction:
+    """Return one step of the iteration from ``state``."""
+    dim = len(prior.covariance)
+    A, b = embedded(measurement, dim)
+    # The prior around the iterate: its mean lies at -offset, its covariance is carried over by the reset Jacobian.
+    offset = local(prior, state)
+    J = reset_jacobian(prior, offset)
+    P = J @ prior.covariance @ J.T
+    gain_form = np.linalg.inv(np.eye(dim) + P @ A)
+    step = -gain_form @ (P @ b + J @ offset)
+    if considered is not None:
+        step = step - considered @ step
+    return _Correction(state, retract(state, step), step, gain_form, P, J)
+
+
+def _concluded(
+    prior: NavState, last: _Correction, measurement: L, considered: Array | None, *, iterations: int, converged: bool
+) -> FilterUpdate[L]:
+    """Return the update that ends with a step."""
+    state, P, J = last.state, last.P, last.J
+    J_step = reset_jacobian(last.before, last.step)
+    covariance = J_step @ last.gain_form @ P @ J_step.T
+    retained = J_step @ last.gain_form @ J
     if considered is not None:
         retained += considered @ (J_step @ J - retained)
         # The gain of all else is the optimal one, so only the block of what stayed differs from the full update's.
         covariance += considered @ (J_step @ P @ J_step.T - covariance) @ considered.T
-    total = local(prior, state)[POSE]
     moved = prior.covariance[POSE, POSE] - covariance[POSE, POSE]
-    nis = _normalised_square(total, moved)
     return FilterUpdate(
         state=replace(state, covariance=0.5 * (covariance + covariance.T)),
         measurement=measurement,
-        iterations=iteration + 1,
+        iterations=iterations,
         converged=converged,
         retained=retained,
-        nis=nis,
+        nis=_normalised_square(local(prior, state)[POSE], moved),
+        linearized_at=last.before,
     )
 
 
