@@ -68,11 +68,10 @@ void bind_maps(nb::module_& m) {
   nb::class_<VoxelMap>(m, "VoxelMap")
       .def("__init__",
            [](VoxelMap* self, double voxel, int levels, int min_points, int max_points, double max_thickness,
-              double min_spread, double point_spacing, double uneven) {
-             new (self) VoxelMap({voxel, levels, min_points, max_points, max_thickness, min_spread, point_spacing, uneven});
+              double min_spread, double point_spacing) {
+             new (self) VoxelMap({voxel, levels, min_points, max_points, max_thickness, min_spread, point_spacing});
            },
-           "voxel"_a, "levels"_a, "min_points"_a, "max_points"_a, "max_thickness"_a, "min_spread"_a, "point_spacing"_a,
-           "uneven"_a)
+           "voxel"_a, "levels"_a, "min_points"_a, "max_points"_a, "max_thickness"_a, "min_spread"_a, "point_spacing"_a)
       .def("insert",
            [](VoxelMap& map, const Points& points, const Matrix4& T) {
              nb::gil_scoped_release release;

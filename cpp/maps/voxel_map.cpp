@@ -23,8 +23,6 @@ constexpr int kRankBits = 10;
 constexpr double kChance = 4.0, kBend = 9.0;
 constexpr double kFlat = 9.0;  // least ratio of the spreads along and across a plane: less is an edge or a sliver
 constexpr double kBorrowed = 10.0;  // points whose scatter a plane borrows from the coarser one
-constexpr float kTold = 20.0F;  // points from which on a plane's scatter counts for that mean
-constexpr double kRemembered = 0.9;  // of that mean, from one insertion to the next
 
 }  // namespace
 
@@ -91,7 +89,7 @@ uint32_t VoxelMap::locate(uint64_t key, size_t* created) {
   if (slot->full != 0) return kFull;
   if (is_new) {
     planes_.push_back({{0, 0, 0}, {0, 0, 0}, -1.0F, 0.0F});
-    moments_.push_back({key, 0.0F, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0});
+    moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0});
     ++*created;
   }
   return slot->value;
@@ -181,24 +179,16 @@ void VoxelMap::refit(uint32_t id) {
     plane.centroid[i] = static_cast<float>(mean[i]);
   }
   // Three numbers of the plane were fitted to the same points, so their scatter about it is too small by as many of them.
-  m.thin = static_cast<float>(std::max(thinnest, 1e-8));
-  const double shape = shape_of(m.thin, settings_.uneven);
-  plane.variance = static_cast<float>(shape + static_cast<double>(m.thin) / std::max(n - 3.0, 1.0));
+  plane.variance = static_cast<float>(std::max(thinnest, 1e-8) / std::max(n - 3.0, 1.0));
   // First order of the eigenvector's error, for the axis along which it is worse.
   plane.inv_spread = static_cast<float>(spread[1] / ((spread[1] - thinnest) * (spread[1] - thinnest)));
-  lean_on_coarser(m, shape, &plane);
-}
-
-// What scatters more than noise does on even surfaces is no plane but a step or an edge that a plane was laid through.
-// That part is a property of the place: it does not average out with points, nor from scan to scan.
-double VoxelMap::shape_of(double thin, double times) const {
-  return even_.count > 0.0 && settings_.uneven > 0.0 ? std::max(thin - times * even_.sum / even_.count, 0.0) : 0.0;
+  lean_on_coarser(m, &plane);
 }
 
 // A plane of a quarter of a metre knows its normal to a degree or two, the one around it many times better. Where both
 // agree within that, as on a wall, they are averaged by what they know; what they differ by beyond chance counts as the
 // surface's own bend (an estimate of one sample, as in empirical Bayes), and the finer one is left alone.
-void VoxelMap::lean_on_coarser(const Moments& m, double shape, Plane* plane) {
+void VoxelMap::lean_on_coarser(const Moments& m, Plane* plane) const {
   const uint64_t level = key_level(m.key) + 1;
   if (level >= static_cast<uint64_t>(settings_.levels)) return;
   const Cube cube = unpack(m.key);
@@ -207,8 +197,9 @@ void VoxelMap::lean_on_coarser(const Moments& m, double shape, Plane* plane) {
   const Plane& coarse = planes_[slot->value];
   // The scatter of eight points about their plane is a poor guess of the noise; the coarser cube's counts as ten more.
   const double free = std::max(static_cast<double>(m.fitted) - 3.0, 1.0);
-  const double thin = m.thin, thick = moments_[slot->value].thin;
-  const double noise = std::max(thin, (free * thin + kBorrowed * thick) / (free + kBorrowed)) / free;
+  const double around = std::max(static_cast<double>(moments_[slot->value].fitted) - 3.0, 1.0);
+  const double thin = free * static_cast<double>(plane->variance), thick = around * static_cast<double>(coarse.variance);
+  plane->variance = static_cast<float>(std::max(thin, (free * thin + kBorrowed * thick) / (free + kBorrowed)) / free);
   double dot = 0.0, apart = 0.0;
   for (int i = 0; i < 3; ++i) dot += static_cast<double>(plane->normal[i]) * static_cast<double>(coarse.normal[i]);
   const double sign = dot < 0.0 ? -1.0 : 1.0;
@@ -216,15 +207,8 @@ void VoxelMap::lean_on_coarser(const Moments& m, double shape, Plane* plane) {
     const double d = static_cast<double>(plane->normal[i]) - sign * static_cast<double>(coarse.normal[i]);
     apart += 0.5 * d * d;  // a normal is off about two axes
   }
-  const double by_noise = noise * static_cast<double>(plane->inv_spread);
-  const bool bent = apart > kBend * by_noise;
-  plane->variance = static_cast<float>(noise + (bent ? std::max(shape, shape_of(thin, 1.0)) : shape));
   const double own = static_cast<double>(plane->variance) * static_cast<double>(plane->inv_spread);
   const double known = static_cast<double>(coarse.variance) * static_cast<double>(coarse.inv_spread);
-  if (level == 1 && m.fitted >= kTold && apart <= kChance * by_noise) {
-    fresh_.sum += thin * static_cast<double>(m.fitted) / free;
-    fresh_.count += 1.0;
-  }
   const double theirs = known + std::max(apart - kChance * own, 0.0);
   Eigen::Vector3d normal;
   for (int i = 0; i < 3; ++i)
@@ -245,24 +229,11 @@ double VoxelMap::insert(std::span<const float> points_body, const double* T_odom
   for (size_t begin = 0; begin < deltas_.size(); begin += kBatch)
     created += add_batch(std::span<const Delta>(deltas_).subspan(begin, std::min(kBatch, deltas_.size() - begin)));
   add_raw_points();
-  const bool first = even_.count <= 0.0;
-  refit_touched();
-  if (first && even_.count > 0.0) {  // known only now: judge what was fitted without it again
-    for (const auto& ids : touched_)
-      for (const uint32_t id : ids) moments_[id].fitted = 0.0F;
-    refit_touched();
-  }
-  const size_t surroundings = coarse_cubes();
-  return surroundings == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(surroundings);
-}
-
-void VoxelMap::refit_touched() {
   // Coarse cubes first: finer ones lean on them.
   for (size_t level = touched_.size(); level-- > 0;)
     for (const uint32_t id : touched_[level]) refit(id);
-  if (fresh_.count > 0.0)
-    even_ = {kRemembered * even_.sum + fresh_.sum, kRemembered * even_.count + fresh_.count};
-  fresh_ = {};
+  const size_t surroundings = coarse_cubes();
+  return surroundings == 0 ? 0.0 : static_cast<double>(created) / static_cast<double>(surroundings);
 }
 
 // How many of the coarsest cubes the deltas reach.

@@ -18,7 +18,6 @@ struct VoxelMapSettings {
   double max_thickness;   // largest standard deviation across a plane [m]
   double min_spread;      // smallest standard deviation along it, as a share of the cube's edge
   double point_spacing;   // of the raw points kept for the nearest-neighbour fallback [m]
-  double uneven;          // times the scatter of even surfaces, beyond which scatter is shape and no noise; 0: all is noise
 };
 
 // What a query reads: one half of a cache line.
@@ -34,7 +33,6 @@ struct Moments {
   uint64_t key;
   float count;
   float fitted;        // count at the last fit
-  float thin;          // mean square of the points' distances from the plane fitted then [m^2]
   float sum[3];        // relative to the cube's centre
   float outer[6];      // xx xy xz yy yz zz
   uint32_t touched;    // number of the last insertion that added to it
@@ -88,9 +86,7 @@ class VoxelMap {
   void add(const Delta& delta, uint64_t key, uint32_t id);
   void add_raw_points();
   void refit(uint32_t id);
-  void refit_touched();
-  void lean_on_coarser(const Moments& m, double shape, Plane* plane);
-  double shape_of(double thin, double times) const;
+  void lean_on_coarser(const Moments& m, Plane* plane) const;
   size_t coarse_cubes();
   void keep(const std::vector<uint8_t>& wanted);
 
@@ -104,11 +100,6 @@ class VoxelMap {
   std::vector<Delta> deltas_;
   std::vector<std::vector<uint32_t>> touched_;  // a level each
   uint32_t insertions_ = 0;
-  // Sum and number of the scatters about planes of even surfaces: of this insertion, and of those before it.
-  struct Scatter {
-    double sum = 0.0, count = 0.0;
-  };
-  Scatter fresh_, even_;
 };
 
 }  // namespace heliograph

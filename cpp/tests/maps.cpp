@@ -12,7 +12,7 @@ using namespace heliograph;
 namespace {
 
 const double kIdentity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-const VoxelMapSettings kSettings{0.5, 3, 8, 200, 0.05, 0.1, 0.1, 3.0};
+const VoxelMapSettings kSettings{0.5, 3, 8, 200, 0.05, 0.1, 0.1};
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 
 // A floor of side x side metres, 100 points a square metre.

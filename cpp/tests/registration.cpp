@@ -18,7 +18,7 @@ const MatchSettings kNear{0.9, 0.1, 0.03, 1, 0.6, {false, true}};  // of each cu
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 
 VoxelMap floor_map() {
-  VoxelMap map({0.5, 3, 8, 200, 0.05, 0.1, 0.1, 3.0});
+  VoxelMap map({0.5, 3, 8, 200, 0.05, 0.1, 0.1});
   std::vector<float> points;
   for (int i = 0; i < 100; ++i)
     for (int j = 0; j < 100; ++j)
@@ -48,7 +48,7 @@ void check_floor() {
 
 void check_odd_inputs() {
   const VoxelMap map = floor_map();
-  const VoxelMap empty({0.5, 3, 8, 200, 0.05, 0.1, 0.1, 3.0});
+  const VoxelMap empty({0.5, 3, 8, 200, 0.05, 0.1, 0.1});
   const std::vector<float> odd{kNaN, 0, 0, 1e9F, 1e9F, -1e9F, 5.0F, 5.0F, 0.2F};
   for (const VoxelMap* some : {&map, &empty}) {
     const int64_t expected = some == &map ? 1 : 0;

@@ -666,7 +666,6 @@ class VoxelMap:
         max_thickness: float,
         min_spread: float,
         point_spacing: float,
-        uneven: float,
     ) -> None: ...
     def insert(
         self,

@@ -21,7 +21,6 @@ class SlowVoxelMap:
         self.point_size = config.voxel * (2.0 if config.levels > 1 else 1.0)
         self.buckets = {}
         self.insertions, self.seen, self.seen_buckets = 0, {}, {}
-        self.even, self.fresh = np.zeros(2), []  # sum and number of scatters on even surfaces; those of this insertion
 
     def edge(self, level):
         return self.config.voxel * 2**level
@@ -47,19 +46,8 @@ class SlowVoxelMap:
                     entry["points"] += group
                     touched.append(key)
             self._keep_raw(group[int(np.argmin(ranks[cube]))])
-        unknown = self.even[1] == 0.0
-        self._refit_touched(touched)
-        if unknown and self.even[1]:
-            for key in touched:
-                self.cubes[key]["fitted"] = 0
-            self._refit_touched(touched)
-
-    def _refit_touched(self, touched):
         for key in sorted(touched, key=lambda key: -key[0]):
             self._refit(key)
-        if self.fresh:
-            self.even = 0.9 * self.even + np.array([sum(self.fresh), len(self.fresh)])
-            self.fresh = []
 
     def _keep_raw(self, q):
         bucket = self.buckets.setdefault(cube_of(q, self.point_size), [])
@@ -84,15 +72,10 @@ class SlowVoxelMap:
             entry["plane"] = {
                 "normal": vectors[:, 0],
                 "centroid": points.mean(axis=0),
-                "variance": max(thin, 1e-8) / max(n - 3.0, 1.0) + self._shape(thin, self.config.uneven),
+                "variance": max(thin, 1e-8) / max(n - 3.0, 1.0),
                 "inv_spread": spread / (spread - thin) ** 2,
-                "thin": max(thin, 1e-8),
             }
             self._lean_on_coarser(key, entry)
-
-    def _shape(self, thin, times):
-        """Variance of what is no plane: scatter beyond some times that of even surfaces, as of the last insertion."""
-        return max(thin - times * self.even[0] / self.even[1], 0.0) if self.even[1] and self.config.uneven else 0.0
 
     def _lean_on_coarser(self, key, entry):
         """Average the normal with that of the cube around it, by what both know, unless they differ beyond chance."""
@@ -100,16 +83,12 @@ class SlowVoxelMap:
         if around is None or not around["plane"]:
             return
         plane, coarse = entry["plane"], around["plane"]
-        free = max(entry["fitted"] - 3.0, 1.0)
-        pooled = (free * plane["thin"] + 10.0 * coarse["thin"]) / (free + 10.0)
-        noise = max(plane["thin"], pooled) / free
+        free, more = (max(e["fitted"] - 3.0, 1.0) for e in (entry, around))
+        pooled = (free * free * plane["variance"] + 10.0 * more * coarse["variance"]) / (free + 10.0)
+        plane["variance"] = max(free * plane["variance"], pooled) / free
         theirs_normal = coarse["normal"] * (-1.0 if plane["normal"] @ coarse["normal"] < 0.0 else 1.0)
         apart = 0.5 * np.sum((plane["normal"] - theirs_normal) ** 2)
-        by_noise = noise * plane["inv_spread"]
-        plane["variance"] = noise + self._shape(plane["thin"], 1.0 if apart > 9.0 * by_noise else self.config.uneven)
         own, known = (p["variance"] * p["inv_spread"] for p in (plane, coarse))
-        if key[0] == 0 and entry["fitted"] >= 20 and apart <= 4.0 * by_noise:
-            self.fresh.append(plane["thin"] * entry["fitted"] / free)
         theirs = known + max(apart - 4.0 * own, 0.0)
         normal = theirs * plane["normal"] + own * theirs_normal
         plane["normal"] = normal / np.linalg.norm(normal)

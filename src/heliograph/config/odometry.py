@@ -152,9 +152,6 @@ class MapConfig:
         Largest standard deviation of points across their plane [m].
     min_spread : float
         Least standard deviation along it, as a share of the cube's edge.
-    uneven : float
-        Scatter about a plane beyond this many times that of even surfaces is taken for the shape of the place, a step
-        or an edge: it makes offset and normal uncertain however many points there are. 0 takes all for noise.
     point_spacing : float
         Distance of the raw points kept for the nearest-neighbour fallback [m].
     fallback_range : float
@@ -176,18 +173,17 @@ class MapConfig:
     max_points: int = 200
     max_thickness: float = 0.035
     min_spread: float = 0.12
-    uneven: float = 3.0
     point_spacing: float = 0.1
     fallback_range: float = 0.6
     radius: float = 150.0
     max_voxels: int = 2_000_000
     window: float = 60.0
-    window_drift: float = 0.1
+    window_drift: float = 0.5
 
     def __post_init__(self) -> None:
         check_range(self, "voxel", "max_thickness", "min_spread", "point_spacing", "fallback_range", above=0.0)
         check_range(self, "radius", "window_drift", above=0.0)
-        check_range(self, "window", "uneven", low=0.0)
+        check_range(self, "window", low=0.0)
         check_range(self, "levels", low=1, high=8)
         check_range(self, "min_points", "max_points", low=3)
         check_range(self, "max_voxels", low=1)

@@ -38,7 +38,7 @@ class VoxelMap:
         """Forget everything: the next insertion begins a new map."""
         c = self.config
         self.native = _core.VoxelMap(
-            c.voxel, c.levels, c.min_points, c.max_points, c.max_thickness, c.min_spread, c.point_spacing, c.uneven
+            c.voxel, c.levels, c.min_points, c.max_points, c.max_thickness, c.min_spread, c.point_spacing
         )
 
     def insert(self, points_body: NDArray[np.float32], T_odom_body: NDArray[np.float64]) -> float:

@@ -19,7 +19,7 @@ A frame that turns leaves gravity and velocity behind, so in the frame they turn
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,27 +29,7 @@ from heliograph.data.error_layout import GRAVITY, POSE, POSE_DIM, POSITION, ROTA
 from heliograph.imu import ErrorGrowth
 from heliograph.lie import s2, so3
 
-__all__ = ["MapDrift", "Walked"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Walked:
-    """How far the map's frame has walked where the sensor was, since the map was begun.
-
-    Parameters
-    ----------
-    seen : float
-        Variance gathered where the map sees: steps that know nothing of each other [m^2].
-    blind : float
-        One-sigma gathered where it does not: a velocity that is off goes on, so these add up as they are [m].
-    """
-
-    seen: float = 0.0
-    blind: float = 0.0
-
-    def since(self, before: Walked) -> float:
-        """Return the one-sigma of what was walked since ``before`` [m]."""
-        return float(np.hypot(np.sqrt(max(self.seen - before.seen, 0.0)), self.blind - before.blind))
+__all__ = ["MapDrift"]
 
 
 class MapDrift:
@@ -69,8 +49,8 @@ class MapDrift:
             None  # of the state's errors with the frame's, (K, 6); None: nothing was handed over
         )
         self._pending = 0.0
-        self.walked = Walked()
-        """How far the frame has walked by now."""
+        self.walked = 0.0
+        """Variance by which the frame has walked where the sensor was, step by step since the beginning [m^2]."""
 
     def predicted(self, growth: ErrorGrowth) -> None:
         """Carry the correlation with the state on over a prediction."""
@@ -98,8 +78,7 @@ class MapDrift:
         self._frame = self._frame + given @ P @ given.T + shared + shared.T
         self._cross = kept @ (cross + P @ given.T)
         covariance = kept @ P @ kept.T
-        handed = (blind @ P[POSE, POSE] @ blind.T)[POSITION, POSITION]
-        self.walked = replace(self.walked, blind=self.walked.blind + float(np.sqrt(max(np.trace(handed), 0.0))))
+        self.walked += max(float(np.trace((blind @ P[POSE, POSE] @ blind.T)[POSITION, POSITION])), 0.0)
         return replace(state, covariance=0.5 * (covariance + covariance.T))
 
     def begin(self, share: float) -> None:
@@ -121,7 +100,7 @@ class MapDrift:
         if self._cross is None:
             self._cross = np.zeros((len(turned), POSE_DIM))
         self._cross = self._cross + turned @ step @ N.T
-        self.walked = replace(self.walked, seen=self.walked.seen + float(np.trace(step[POSITION, POSITION])))
+        self.walked += float(np.trace(step[POSITION, POSITION]))
         return replace(state, covariance=state.covariance + turned @ step @ turned.T)
 
     def pose_covariance(self, state: NavState) -> Array:

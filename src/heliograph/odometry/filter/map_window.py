@@ -15,7 +15,6 @@ import numpy as np
 
 from heliograph.arrays import Array
 from heliograph.config import MapConfig
-from heliograph.odometry.filter.drift import Walked
 
 __all__ = ["MapWindow"]
 
@@ -25,11 +24,11 @@ _STEPS = 6.0  # the map is looked through for what has left the window this ofte
 
 @dataclass(frozen=True, slots=True)
 class _Mark:
-    """How many scans had been inserted, and how far pose and frame had come by then."""
+    """How many scans had been inserted, the way gone by then, and the variance that the frame had walked."""
 
     scans: int
     way: float
-    walked: Walked
+    walked: float
 
 
 class MapWindow:
@@ -53,8 +52,8 @@ class MapWindow:
         self._marks.clear()
         self._scans, self._way, self._at, self._done = 0, 0.0, None, None
 
-    def moved(self, position_odom: Array, walked: Walked) -> int | None:
-        """Take in a scan that was inserted at a position (3,), and what the map's frame has walked until then.
+    def moved(self, position_odom: Array, walked: float) -> int | None:
+        """Take in a scan inserted at a position (3,), and the variance that the frame has walked by then [m^2].
 
         Returns
         -------
@@ -87,4 +86,4 @@ class MapWindow:
 
     def _parts(self, a: _Mark, b: _Mark) -> float:
         """Return which part of the window lies between two marks, by way or by drift, whichever is more."""
-        return max((b.way - a.way) / self._length, b.walked.since(a.walked) / self._drift)
+        return max((b.way - a.way) / self._length, float(np.sqrt(max(b.walked - a.walked, 0.0))) / self._drift)

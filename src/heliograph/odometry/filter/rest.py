@@ -66,9 +66,8 @@ def motion_advantage(scans: Sequence[Scan], results: Sequence[ScanResult], confi
     all, is no evidence of rest or motion.
     """
     # What does not fit together makes thick planes: they must stay, as it is they that tell; and wider cubes catch what
-    # has gone far. How thick they are is what is asked, so it counts as noise.
-    levels = min(config.map.levels + 1, _MAX_LEVELS)
-    thick = replace(config.map, max_thickness=_ANY_DISTANCE, uneven=0.0, levels=levels)
+    # has gone far.
+    thick = replace(config.map, max_thickness=_ANY_DISTANCE, levels=min(config.map.levels + 1, _MAX_LEVELS))
     moving, resting = VoxelMap(thick), VoxelMap(thick)
     total = 0.0
     for scan, result in zip(scans, results, strict=True):

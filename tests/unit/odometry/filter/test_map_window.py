@@ -8,7 +8,6 @@ import pytest
 
 from heliograph.config import FilterConfig, MapConfig
 from heliograph.maps import VoxelMap
-from heliograph.odometry.filter.drift import Walked
 from heliograph.odometry.filter.map_keeper import MapKeeper
 from heliograph.odometry.filter.map_window import MapWindow
 from states import random_state, room_cloud
@@ -16,7 +15,7 @@ from states import random_state, room_cloud
 
 def vouched(window, positions, walked=()):
     """What the window answers along a way, None where it does not move on."""
-    walks = [*walked, *[Walked()] * (len(positions) - len(walked))]
+    walks = [*walked, *[0.0] * (len(positions) - len(walked))]
     return [window.moved(np.array([x, 0.0, 0.0]), w) for x, w in zip(positions, walks, strict=True)]
 
 
@@ -41,17 +40,12 @@ def test_way_counts_forth_and_back_but_not_a_trembling_at_rest():
 
 def test_drift_shortens_the_window():
     window = MapWindow(MapConfig(window=60.0, window_drift=0.1))
-    still = [Walked(seen=0.0)] * 3 + [Walked(seen=0.09**2)] * 2 + [Walked(seen=0.09**2, blind=0.05)] * 3
+    still = [0.0] * 3 + [0.09**2] * 2 + [0.11**2] * 3
     assert vouched(window, [0.0] * len(still), still) == [None] * 5 + [3, None, None]
 
 
 def test_no_length_means_no_window():
     assert all(n is None for n in vouched(MapWindow(MapConfig(window=0.0)), np.arange(0.0, 500.0)))
-
-
-def test_a_sigma_walked_blindly_adds_up_as_it_is_and_a_variance_as_one():
-    before, after = Walked(seen=0.01, blind=0.1), Walked(seen=0.01 + 0.03**2, blind=0.1 + 0.04)
-    assert after.since(before) == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize("window", [60.0, 0.0])
