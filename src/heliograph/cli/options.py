@@ -32,9 +32,7 @@ ImuTopic = Annotated[
 ]
 Extrinsic = Annotated[
     Path | None,
-    typer.Option(
-        "--extrinsic", metavar="FILE", help="TOML with T_imu_lidar: rotation (3x3 or xyzw) and translation [m]."
-    ),
+    typer.Option("--extrinsic", metavar="FILE", help="TOML with T_imu_lidar, or FAST-LIO2's or LIO-SAM's params.yaml."),
 ]
 Start = Annotated[float | None, typer.Option("--start", metavar="S", min=0.0, help="Skip the first S seconds.")]
 Duration = Annotated[float | None, typer.Option("--duration", metavar="S", min=0.0, help="Use only S seconds.")]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from heliograph.atomic import write_text
 from heliograph.data import ImuClock, Rig
 from heliograph.errors import ConfigError, closest
+from heliograph.io.files.params_yaml import read_params_yaml
 from heliograph.lie import so3
 
 if sys.version_info >= (3, 11):
@@ -32,11 +33,12 @@ _MAX_DRIFT_PPM = 1e4
 
 
 def read_extrinsic(path: Path | str) -> Rig:
-    """Read ``T_imu_lidar`` (``p_imu = T_imu_lidar @ p_lidar``) from a TOML file.
+    """Read ``T_imu_lidar`` (``p_imu = T_imu_lidar @ p_lidar``) from a TOML file, or another system's YAML.
 
-    The file holds, in a table ``[T_imu_lidar]`` or at its top, either ``matrix`` (4x4), or ``translation`` (metres)
-    together with ``rotation`` (3x3 by rows, or a quaternion xyzw) or ``quaternion_xyzw``. A table ``[clock]`` may hold
-    ``offset`` (seconds), ``drift_ppm`` and ``reference_ns``, see `ImuClock`; a table ``[calibration]`` is not read.
+    A ``.yaml`` is read as parameters of FAST-LIO2 or LIO-SAM, see `read_params_yaml`. The TOML holds, in a table
+    ``[T_imu_lidar]`` or at its top, either ``matrix`` (4x4), or ``translation`` (metres) together with ``rotation``
+    (3x3 by rows, or a quaternion xyzw) or ``quaternion_xyzw``. A table ``[clock]`` may hold ``offset`` (seconds),
+    ``drift_ppm`` and ``reference_ns``, see `ImuClock`; a table ``[calibration]`` is not read.
 
     Parameters
     ----------
@@ -55,6 +57,10 @@ def read_extrinsic(path: Path | str) -> Rig:
         rotation that is none (defect above 1e-3, or a mirror).
     """
     path = Path(path)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        T_imu_lidar, offset = read_params_yaml(path)
+        T_imu_lidar[:3, :3] = _orthonormal(path, T_imu_lidar[:3, :3])
+        return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path}", clock=ImuClock(offset=offset))
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
