@@ -27,11 +27,12 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
         for name in ("reading", "odometry", "graph", "writing")
         if f"{name}_s" in timings
     )
+    closing = f", then {timings['closing_s']:.1f} s for map and report" if timings.get("closing_s") else ""
     memory = "" if facts["peak_memory_mb"] is None else f"; peak memory {facts['peak_memory_mb']:.0f} MB"
     lines = [
         f"distance {facts['distance_m']:.2f} m in {facts['duration_s']:.1f} s, {facts['scans']} scans, "
         f"start-end gap {facts['start_end_gap_m']:.3f} m",
-        f"{timings['wall_ms_per_scan']:.1f} ms a scan ({parts}){memory}",
+        f"{timings['wall_ms_per_scan']:.1f} ms a scan ({parts}){closing}{memory}",
     ]
     if facts["level"]["sentence"]:
         lines.append(facts["level"]["sentence"])

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from heliograph.cli import align, calibrate, check, demo, evaluate, info, loops, run, simulate, solve
+from heliograph.cli import align, calibrate, check, demo, evaluate, info, lab, loops, run, simulate, solve
 from heliograph.cli.options import PluggableCommand
 from heliograph.errors import HeliographError
 
@@ -40,6 +40,7 @@ app.command("align", short_help="Two clouds: pose, overlap, and what was not obs
 app.command("solve", short_help="A pose graph in, its most likely poses out.")(solve.solve)
 app.command("simulate", short_help="A recording with ground truth.")(simulate.simulate)
 app.command("demo", short_help="Simulate, map, evaluate: see it work.")(demo.demo)
+app.command("lab", short_help="The lesson's experiments in the browser.")(lab.lab)
 
 
 @app.callback(invoke_without_command=True)
