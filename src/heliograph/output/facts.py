@@ -173,7 +173,8 @@ def _timings(summary: RunSummary, writer_seconds: Mapping[str, float], closing_s
         **{f"{name}_s": value for name, value in summary.seconds.items()},
         "writing_s": sum(writer_seconds.values()),
         "wall_s": wall,
-        "wall_ms_per_scan": 1e3 * wall / summary.scans,
+        "closing_s": closing_seconds,
+        "wall_ms_per_scan": summary.ms_per_scan,
         "odometry_ms_per_scan": dict(summary.stage_ms),
         "writers_ms_per_scan": {name: 1e3 * value / summary.scans for name, value in writer_seconds.items()},
     }

@@ -36,7 +36,7 @@ SUBMAPS = "submaps.bin"
 _NO_POINTS = np.zeros((0, 3), dtype=np.float32)
 _GRAPH = ("loops.csv", "graph.g2o", "graph.npz")
 _KEYFRAMES = "keyframes"
-_OWN = (*FILES, *_MAPS, *_GRAPH, SUBMAPS, "map.png", "scans.csv", "report.html", "config.toml", "run.json")
+_OWN = (*FILES, *_MAPS, *_GRAPH, SUBMAPS, "map.png", "map.pgw", "scans.csv", "report.html", "config.toml", "run.json")
 
 
 class RunFolder(Sink):

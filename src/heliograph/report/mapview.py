@@ -124,10 +124,6 @@ class MapPictures:
             return color_image(raster, self.intensity, INTENSITY, self.intensity_limits)
         return color_image(raster, self.points[:, 2], HEIGHT, self.height_limits)
 
-    def top_png(self) -> bytes:
-        """Return the picture from above, by height."""
-        return self._encode("top", "height")
-
     def _encode(self, view: str, by: str) -> bytes:
         cache: dict[tuple[str, str], bytes] = self.__dict__.setdefault("_pngs", {})
         if (view, by) not in cache:
@@ -173,9 +169,10 @@ class MapPictures:
         source = data_uri(self._encode(name, by))
         overlay = "".join(self._overlay(view))
         return (
-            f'<figure class="shot"><img src="{source}" width="{columns}" height="{rows}" '
+            f'<figure class="shot"><figcaption>{title}{ramp}</figcaption>'
+            f'<img src="{source}" width="{columns}" height="{rows}" '
             f'alt="The map {title}, coloured by {by}"><svg viewBox="0 0 {columns} {rows}">{overlay}</svg>'
-            f"<figcaption>{title}</figcaption>{ramp}</figure>"
+            "</figure>"
         )
 
     def _overlay(self, view: View) -> list[str]:

@@ -13,11 +13,16 @@ import numpy as np
 from heliograph.atomic import atomic_path, write_text
 from heliograph.data import Event
 from heliograph.output.record import RunRecord
+from heliograph.output.summary import RunSummary
 from heliograph.report import charts
+from heliograph.report.lettering import lettered, world_file
 from heliograph.report.mapview import MapPictures
+from heliograph.report.png import encode_png
+from heliograph.report.scene import scene
 
 __all__ = ["write_report"]
 
+_LAP_SHARE = 0.05  # of the way, the gap between start and end of a lap at most
 _STATUS_WORDS = {
     "ok": "the result holds together",
     "degraded": "usable with care",
@@ -26,7 +31,7 @@ _STATUS_WORDS = {
 
 
 def write_report(record: RunRecord) -> list[Path]:
-    """Write ``report.html`` and, where there is a map, ``map.png`` into the run's folder; return their paths.
+    """Write ``report.html`` and, where there is a map, ``map.png`` with its world file; return their paths.
 
     Parameters
     ----------
@@ -41,9 +46,10 @@ def write_report(record: RunRecord) -> list[Path]:
     paths, pictures = [], None
     if len(record.points_map):
         pictures = MapPictures(record)
-        paths.append(record.folder / "map.png")
-        with atomic_path(paths[-1]) as temporary:
-            temporary.write_bytes(pictures.top_png())
+        paths += [record.folder / "map.png", record.folder / "map.pgw"]
+        with atomic_path(paths[-2]) as temporary:
+            temporary.write_bytes(encode_png(lettered(pictures.image(pictures.top_raster, "height"), pictures.top)))
+        write_text(paths[-1], world_file(pictures.top))
     paths.append(record.folder / "report.html")
     write_text(paths[-1], page(record, pictures))
     return paths
@@ -53,10 +59,12 @@ def page(record: RunRecord, pictures: MapPictures | None) -> str:
     """Return the report as one HTML document without references to anything outside it."""
     name = escape(record.name)
     style = files("heliograph.report").joinpath("style.css").read_text(encoding="utf-8")
+    turned, scripts = scene(record)
     body = "".join(
         (
             header(record),
             pictures.html() if pictures is not None else "",
+            turned,
             section("Trajectory", [charts.trajectory(record, turned_like(pictures))], wide=True),
             section("", charts.motion(record.scans)),
             observability(record),
@@ -69,7 +77,7 @@ def page(record: RunRecord, pictures: MapPictures | None) -> str:
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name} · Heliograph</title>'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{style}</style></head>'
-        f"<body><main>{body}</main></body></html>\n"
+        f"<body><main>{body}</main>{scripts}</body></html>\n"
     )
 
 
@@ -85,7 +93,8 @@ def header(record: RunRecord) -> str:
         ("distance", f"{summary.distance:.1f}", "m"),
         ("duration", f"{summary.duration:.1f}", "s"),
         ("scans", f"{summary.scans}", ""),
-        ("start-end gap", f"{summary.start_end_gap:.3f}", "m"),
+        # A drive from here to there has no gap to speak of; a lap has.
+        *([("start-end gap", f"{summary.start_end_gap:.3f}", "m")] if _is_lap(summary) else []),
         *([("level known to", f"{np.degrees(summary.level.sigma):.2g}", "deg")] if summary.level.known else []),
         ("a scan", f"{summary.ms_per_scan:.1f}", "ms"),
         ("sensors", " + ".join({"lidar": "LiDAR", "imu": "IMU"}[name] for name in summary.sensors), ""),
@@ -99,6 +108,10 @@ def header(record: RunRecord) -> str:
         f'{f"<ul class=reasons>{reasons}</ul>" if reasons else ""}<dl class="tiles">{tiles}</dl>'
         f"{warnings(record)}</header>"
     )
+
+
+def _is_lap(summary: RunSummary) -> bool:
+    return summary.start_end_gap < _LAP_SHARE * summary.distance
 
 
 def warnings(record: RunRecord) -> str:

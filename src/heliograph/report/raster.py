@@ -22,6 +22,7 @@ _T = TypeVar("_T", bound=np.generic)
 _MAX_WIDTH, _MAX_HEIGHT = 1440, 900
 _MIN_SIDE_HEIGHT = 0.12  # of the width
 _MAX_GROWTH = 6
+_MIN_REACH, _REACH_SHARE = 25.0, 0.5  # beyond the path: metres, and share of the path's longer side
 _SHADE_STRENGTH = 0.9
 _NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
@@ -103,11 +104,17 @@ def side_view(points: NDArray[np.float32], path: NDArray[np.float64], top: View)
 
 
 def _extent(points: NDArray[np.float32], path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of a box around the path and the inner 99 % of the points along each axis."""
+    """Return the corners of a box around the path, and around the inner 99 % of the points as far as they are near it.
+
+    What is seen through a door, far off, is left out: the picture is of where the path is.
+    """
+    first, last = path.min(axis=0), path.max(axis=0)
+    reach = max(_MIN_REACH, _REACH_SHARE * float((last - first)[:2].max()))
     sample = points[:: max(len(points) // 200_000, 1)]
-    low, high = np.percentile(sample, [0.5, 99.5], axis=0)
+    near = ((sample[:, :2] >= first[:2] - reach) & (sample[:, :2] <= last[:2] + reach)).all(axis=1)
+    low, high = np.percentile(sample[near] if near.any() else sample, [0.5, 99.5], axis=0)
     margin = np.array([1.0, 1.0, 0.3])
-    return np.minimum(low, path.min(axis=0)) - margin, np.maximum(high, path.max(axis=0)) + margin
+    return np.minimum(low, first) - margin, np.maximum(high, last) + margin
 
 
 def _view(

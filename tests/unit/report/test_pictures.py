@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from heliograph.report.colors import GROUND, HEIGHT
+from heliograph.report.lettering import lettered, world_file
 from heliograph.report.png import encode_png
 from heliograph.report.raster import color_image, render, side_view, top_view
+from heliograph.report.svg import round_length
 
 
 def decode(png):
@@ -119,3 +121,39 @@ def test_color_image_spans_the_scale_and_leaves_the_ground():
     column, row = view.to_pixels(np.array([[0.5, 5.0, 0.0], [19.5, 5.0, 0.0]])).astype(int).T
     low, high = image[row, column].astype(int)
     assert low[2] > low[0] and high[0] > high[2], "blue is low, red is high"
+
+
+@pytest.mark.parametrize("size", [(30.0, 10.0), (10.0, 30.0)])
+def test_world_file_places_every_pixel_in_the_map(rng, size):
+    points = np.column_stack([rng.uniform(0, size[0], 500), rng.uniform(0, size[1], 500), np.zeros(500)]).astype("f4")
+    view = top_view(points, points.astype(float))
+    a, d, b, e, c, f = (float(line) for line in world_file(view).splitlines())
+    column, row = view.to_pixels(points.astype(float)).T - 0.5  # a world file counts from the middle of a pixel
+    placed = np.stack([a * column + b * row + c, d * column + e * row + f], axis=1)
+    np.testing.assert_allclose(placed, points[:, :2], atol=1e-5)
+
+
+def test_picture_gets_its_scale_and_axes(rng):
+    points = rng.uniform(0, 20, (500, 3)).astype(np.float32)
+    view = top_view(points, points[:2].astype(float))
+    plain = np.zeros((*view.shape, 3), np.uint8)
+    drawn = lettered(plain, view)
+    lit = (drawn == (238, 243, 248)).all(axis=2)
+    assert not plain.any() and lit.any()
+    rows = np.nonzero(lit[:, view.shape[1] // 2 :])[0]
+    bar = max(np.ptp(np.nonzero(lit[row, view.shape[1] // 2 :])[0]) + 1 for row in np.unique(rows))
+    length = round_length(view.shape[1] * view.pixel / 5.0)
+    assert abs(bar * view.pixel - length) <= 1.5 * view.pixel
+
+
+def test_small_picture_stays_plain():
+    view = top_view(np.zeros((3, 3), np.float32), np.zeros((2, 3)))
+    image = np.zeros((5, 5, 3), np.uint8)
+    np.testing.assert_array_equal(lettered(image, view), image)
+
+
+def test_picture_is_of_where_the_path_is(rng):
+    near, far = rng.uniform(0, 10, (5000, 3)), rng.uniform(60, 120, (4000, 3))
+    path = np.column_stack([np.linspace(2, 8, 20), np.full(20, 5.0), np.ones(20)])
+    view = top_view(np.concatenate([near, far]).astype(np.float32), path)
+    assert max(view.high) < 40.0

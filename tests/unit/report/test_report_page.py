@@ -1,5 +1,9 @@
+import base64
+import json
 import re
+import sys
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +15,8 @@ from heliograph.output.run_folder import RunFolder
 from heliograph.pipeline import run
 from heliograph.report import write_report
 from heliograph.report.mapview import MapPictures
+from heliograph.report.page import header, page
+from heliograph.report.scene import MAX_POINTS, loop_lines
 from heliograph.report.svg import Line, line_chart, nice_ticks, number, round_length, thin
 
 
@@ -53,7 +59,8 @@ def test_report_shows_map_first_and_all_that_the_contract_names(finished):
 
 def test_report_needs_nothing_from_outside(finished):
     html = (finished.path / "report.html").read_text()
-    assert "<script" not in html
+    assert not re.search(r"<script[^>]*\bsrc\b", html)
+    html = re.sub(r"<script.*?</script>", "", html, flags=re.DOTALL)
     for target in re.findall(r'(?:src|href)="([^"]*)"|url\(([^)]*)\)', html):
         assert "".join(target).startswith("data:image/png;base64,")
 
@@ -65,7 +72,7 @@ def test_report_escapes_what_it_did_not_write(finished):
 
 
 def test_report_drawings_are_well_formed(finished):
-    html = (finished.path / "report.html").read_text()
+    html = re.sub(r"<script.*?</script>", "", (finished.path / "report.html").read_text(), flags=re.DOTALL)
     drawings = re.findall(r"<svg.*?</svg>", html, flags=re.DOTALL)
     assert len(drawings) > 10
     for drawing in drawings:
@@ -79,6 +86,45 @@ def test_report_is_the_same_for_the_same_run(finished):
     assert (finished.path / "report.html").read_bytes() == first
 
 
+def test_report_without_the_drawing_library_has_no_script(finished, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    html = page(finished.record, MapPictures(finished.record))
+    assert "<script" not in html and "three dimensions" not in html
+    assert len(html) < 3_000_000
+
+
+def test_report_carries_the_map_to_be_turned(finished):
+    pytest.importorskip("plotly", reason="the view needs the extra `lab`")
+    html = page(finished.record, MapPictures(finished.record))
+    data = json.loads(re.search(r'id="scene-data">(.*?)</script>', html)[1])
+    x, y, z = (np.frombuffer(base64.b64decode(column["bdata"]), "<f4") for column in data["points"])
+    assert len(x) == len(y) == len(z) <= MAX_POINTS
+    way = np.stack([np.frombuffer(base64.b64decode(column["bdata"]), "<f4") for column in data["path"]], axis=1)
+    np.testing.assert_allclose(way, finished.record.scans.triple("position"), atol=1e-5)
+    assert len(html) < 15_000_000
+
+
+def test_loops_that_stand_are_lines_between_their_poses(finished, tmp_path):
+    record = replace(finished.record, folder=tmp_path)
+    assert len(loop_lines(record)) == 0
+    ends, path = record.scans["end_ns"], record.scans.triple("position")
+    (tmp_path / "keyframes").mkdir()
+    lines = [json.dumps({"index": i, "stamp_ns": int(ends[10 * i])}) for i in range(3)]
+    (tmp_path / "keyframes" / "journal.jsonl").write_text(
+        "\n".join(['{"format": "x"}', *lines]).replace("format", "index")
+    )
+    (tmp_path / "loops.csv").write_text("query,match,verdict\n2,0,accepted\n1,0,rejected\n")
+    found = loop_lines(record)
+    assert len(found) == 3 and np.isnan(found[2]).all()
+    np.testing.assert_array_equal(found[:2], path[[20, 0]])
+
+
+def test_gap_is_told_of_a_lap_only(finished):
+    for gap, told in ((0.2, True), (90.0, False)):
+        summary = replace(finished.record.summary, distance=100.0, start_end_gap=gap)
+        assert ("start-end gap" in header(replace(finished.record, summary=summary))) == told
+
+
 def roofed(share):
     """Points of a hall of 20 m by 20 m, of which a share has a roof at 6 m."""
     x, y = (a.ravel() for a in np.meshgrid(np.arange(0, 20, 0.2), np.arange(0, 20, 0.2)))
@@ -89,8 +135,6 @@ def roofed(share):
 
 @pytest.mark.parametrize(("share", "covered"), [(0.0, False), (1.0, True), (0.3, True)])
 def test_map_from_above_leaves_out_a_roof(finished, share, covered):
-    from dataclasses import replace
-
     record = replace(finished.record, points_map=roofed(share), intensity=None)
     pictures = MapPictures(record)
     assert (pictures.ceiling is not None) == covered

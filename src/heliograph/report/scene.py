@@ -1,0 +1,119 @@
+"""The map in three dimensions, to be turned: points, path, loops and sigmas, where plotly is installed."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.output.record import RunRecord
+from heliograph.report.colors import HEIGHT
+
+__all__ = ["loop_lines", "scene"]
+
+MAX_POINTS = 60_000  # what a phone turns without a pause, and 1 MB in the page
+_MAX_PATH = 4_000
+_ELLIPSES = 12
+_SIGMAS = 3.0
+
+
+def scene(record: RunRecord) -> tuple[str, str]:
+    """Return the section with the view and the scripts that end the page; nothing without plotly, or without a map.
+
+    The library's script is the installed package's own, kept as text in the page and run when the view is opened: a
+    reader who does not open it waits for nothing.
+
+    Parameters
+    ----------
+    record : RunRecord
+        A finished run.
+    """
+    library = _library()
+    if library is None or not len(record.points_map) or not len(record.scans):
+        return "", ""
+    data = json.dumps(_traces(record), separators=(",", ":"), allow_nan=False)
+    script = files("heliograph.report").joinpath("scene.js").read_text(encoding="utf-8")
+    section = (
+        '<section><details id="scene"><summary>The map in three dimensions, to be turned</summary>'
+        '<div id="scene-view" role="img" aria-label="The map in three dimensions"></div>'
+        '<p class="note">Drag to turn, pinch or scroll to zoom; the line is the trajectory, its rings are '
+        f"{_SIGMAS:.0f} sigma of the position, dotted lines are loops.</p></details></section>"
+    )
+    scripts = (
+        f'<script type="application/json" id="scene-data">{data}</script>'
+        f'<script type="text/plain" id="scene-library">{library}</script><script>{script}</script>'
+    )
+    return section, scripts
+
+
+def _library() -> str | None:
+    try:
+        return files("plotly").joinpath("package_data").joinpath("plotly.min.js").read_text(encoding="utf-8")
+    except (ImportError, FileNotFoundError):
+        return None
+
+
+def _traces(record: RunRecord) -> dict[str, Any]:
+    stride = -(-len(record.points_map) // MAX_POINTS)
+    path = record.scans.triple("position")
+    every = max(-(-len(path) // _MAX_PATH), 1)
+    low, high = _box(record.points_map, path)
+    points = record.points_map[::stride]
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    return {
+        "points": [_packed(column) for column in points.T],
+        "colors": [[i / (len(HEIGHT) - 1), color] for i, color in enumerate(HEIGHT)],
+        "path": [_packed(column) for column in path[::every].T],
+        "seconds": _packed(record.scans.seconds[::every]),
+        "rings": [_packed(column) for column in _rings(path, record.scans.triple("sigma_position")).T],
+        "loops": [_packed(column) for column in loop_lines(record).T],
+    }
+
+
+def _box(points: NDArray[np.float32], path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a box around the path and the inner 99.8 % of the points: one stray return must not shrink all else."""
+    low, high = np.percentile(points[:: max(len(points) // 200_000, 1)], [0.1, 99.9], axis=0)
+    return np.minimum(low, path.min(axis=0)), np.maximum(high, path.max(axis=0))
+
+
+def _packed(values: NDArray[Any]) -> dict[str, str]:
+    """Return an array as the library takes it: its type and its bytes."""
+    return {"dtype": "f4", "bdata": base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()}
+
+
+def _rings(path: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ellipses of the position's uncertainty in the three planes at a few poses, parted by NaN rows."""
+    angle = np.append(np.linspace(0.0, 2.0 * np.pi, 25), np.nan)
+    c, s, o = np.cos(angle), np.sin(angle), np.where(np.isnan(angle), np.nan, 0.0)
+    unit = np.concatenate([np.stack(axes, axis=1) for axes in ((c, s, o), (c, o, s), (o, c, s))])
+    chosen = np.unique(np.linspace(0, len(path) - 1, _ELLIPSES).astype(np.int64))
+    return np.concatenate([path[i] + _SIGMAS * sigma[i] * unit for i in chosen])
+
+
+def loop_lines(record: RunRecord) -> NDArray[np.float64]:
+    """Return the loops that stand as lines between their two poses, parted by NaN rows, (3 L, 3) [m].
+
+    Parameters
+    ----------
+    record : RunRecord
+        Its folder may have ``loops.csv`` and the keyframes' journal; without them there are none.
+    """
+    table, journal = record.folder / "loops.csv", record.folder / "keyframes" / "journal.jsonl"
+    if not table.is_file() or not journal.is_file():
+        return np.zeros((0, 3))
+    entries = [json.loads(line) for line in journal.read_text(encoding="utf-8").splitlines()]
+    stamps = {entry["index"]: entry["stamp_ns"] for entry in entries if "stamp_ns" in entry}
+    with table.open(encoding="utf-8", newline="") as file:
+        pairs = [(int(row["query"]), int(row["match"])) for row in csv.DictReader(file) if row["verdict"] == "accepted"]
+    ends, path = record.scans["end_ns"], record.scans.triple("position")
+    lines = []
+    for query, match in pairs:
+        if query in stamps and match in stamps:
+            at = np.clip(np.searchsorted(ends, [stamps[query], stamps[match]]), 0, len(ends) - 1)
+            lines += [path[at[0]], path[at[1]], np.full(3, np.nan)]
+    return np.array(lines).reshape(-1, 3)
