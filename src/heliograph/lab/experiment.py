@@ -16,13 +16,13 @@ from heliograph.errors import ConfigError, closest
 __all__ = [
     "Action",
     "Chart",
+    "ChartTrace",
     "Control",
     "Experiment",
     "ExperimentRun",
+    "ExperimentView",
     "Reading",
     "Settings",
-    "Trace",
-    "View",
     "WorkedNumber",
 ]
 
@@ -131,7 +131,7 @@ class Reading:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trace:
+class ChartTrace:
     """Something drawn in a chart.
 
     Parameters
@@ -170,7 +170,7 @@ class Chart:
         Key, and what stands above.
     x, y : str
         Labels of the axes, with units.
-    traces : tuple of Trace
+    traces : tuple of ChartTrace
     equal : bool
         One metre is as long on both axes.
     log : bool
@@ -185,7 +185,7 @@ class Chart:
     title: str
     x: str
     y: str
-    traces: tuple[Trace, ...]
+    traces: tuple[ChartTrace, ...]
     equal: bool = False
     log: bool = False
     x_range: tuple[float, float] | None = None
@@ -197,7 +197,7 @@ class Chart:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class View:
+class ExperimentView:
     """All that is shown after a step.
 
     Parameters
@@ -233,7 +233,7 @@ class ExperimentRun(ABC):
         """Go on by one step; ``settings`` are all controls as they are now, of which the live ones count."""
 
     @abstractmethod
-    def view(self, settings: Settings) -> View:
+    def view(self, settings: Settings) -> ExperimentView:
         """Return what there is to see."""
 
     def release(self) -> None:  # noqa: B027 - few hold anything
@@ -309,7 +309,7 @@ def _chart(chart: Chart) -> dict[str, Any]:
     return kept | {"traces": [_trace(trace) for trace in chart.traces]}
 
 
-def _trace(trace: Trace) -> dict[str, Any]:
+def _trace(trace: ChartTrace) -> dict[str, Any]:
     columns = {key: getattr(trace, key) for key in ("x", "y", "z", "values") if getattr(trace, key) is not None}
     longest = max((len(np.atleast_1d(np.asarray(column))) for column in columns.values()), default=0)
     stride = -(-longest // MAX_POINTS) if trace.kind in ("points", "cloud") else 1

@@ -11,13 +11,13 @@ from heliograph.config import AlignConfig
 from heliograph.lab.experiment import (
     Action,
     Chart,
+    ChartTrace,
     Control,
     Experiment,
     ExperimentRun,
+    ExperimentView,
     Reading,
     Settings,
-    Trace,
-    View,
     WorkedNumber,
 )
 from heliograph.lie import se3, so3
@@ -139,7 +139,7 @@ class IcpRun(ExperimentRun):
         rows = self.matches()
         self.history.append((float(np.sqrt(np.mean(rows[:, 6] ** 2))) if len(rows) else np.nan, self.off()[0]))
 
-    def view(self, settings: Settings) -> View:  # noqa: ARG002 - the protocol's
+    def view(self, settings: Settings) -> ExperimentView:  # noqa: ARG002 - the protocol's
         """Return both scans at the present pose, the partners, and how residual and offset fell."""
         rows, (metres, degrees) = self.matches(), self.off()
         steps = np.arange(len(self.history))
@@ -166,12 +166,14 @@ class IcpRun(ExperimentRun):
             Chart(
                 name="fall", title="How it falls", x="step", y="[m]", log=True,
                 traces=(
-                    Trace(name="rms of the residuals", kind="line", x=steps, y=np.maximum(rms, 1e-5), color=1),
-                    Trace(name="offset from the truth", kind="line", x=steps, y=np.maximum(errors, 1e-5), color=2),
+                    ChartTrace(name="rms of the residuals", kind="line", x=steps, y=np.maximum(rms, 1e-5), color=1),
+                    ChartTrace(name="offset from the truth", kind="line", x=steps, y=np.maximum(errors, 1e-5), color=2),
                 ),
             ),
         )  # fmt: skip
-        return View(message=self._message(blind), readings=tuple(readings), charts=charts, done=self.moved < 1e-4)
+        return ExperimentView(
+            message=self._message(blind), readings=tuple(readings), charts=charts, done=self.moved < 1e-4
+        )
 
     def _message(self, blind: str) -> str:
         if self.result is None:
@@ -183,18 +185,18 @@ class IcpRun(ExperimentRun):
             return f"Converged: the last step moved less than a tenth of a millimetre.{kept}"
         return f"Step {len(self.history) - 1} moved by up to {1e3 * self.moved:.1f} mm or mrad.{kept}"
 
-    def _scan_traces(self, rows: NDArray[np.float64]) -> tuple[Trace, ...]:
+    def _scan_traces(self, rows: NDArray[np.float64]) -> tuple[ChartTrace, ...]:
         target, source = _elements(self.target), se3.act(self.T, _elements(self.source).astype(np.float64))
         parts = [
-            Trace(name="first scan", kind="points", x=target[:, 0], y=target[:, 1], color=0),
-            Trace(name="second scan", kind="points", x=source[:, 0], y=source[:, 1], color=1),
+            ChartTrace(name="first scan", kind="points", x=target[:, 0], y=target[:, 1], color=0),
+            ChartTrace(name="second scan", kind="points", x=source[:, 0], y=source[:, 1], color=1),
         ]
         if len(rows):
             p = se3.act(self.T, rows[:, :3])
             q = target[rows[:, -1].astype(np.int64)]
             pairs = np.stack([p[:, :2], q[:, :2], np.full((len(p), 2), np.nan)], axis=1)[:: max(len(p) // 400, 1)]
             flat = pairs.reshape(-1, 2)
-            parts.insert(0, Trace(name="partners", kind="segments", x=flat[:, 0], y=flat[:, 1], color=3))
+            parts.insert(0, ChartTrace(name="partners", kind="segments", x=flat[:, 0], y=flat[:, 1], color=3))
         return tuple(parts)
 
 

@@ -18,13 +18,13 @@ from heliograph.graph import (
 from heliograph.lab.experiment import (
     Action,
     Chart,
+    ChartTrace,
     Control,
     Experiment,
     ExperimentRun,
+    ExperimentView,
     Reading,
     Settings,
-    Trace,
-    View,
     WorkedNumber,
 )
 from heliograph.lie import SE2
@@ -113,7 +113,7 @@ class LoopRun(ExperimentRun):
         moved = self.positions()[: len(self.before)] - self.before
         return np.asarray(np.linalg.norm(np.diff(moved, axis=0), axis=1))
 
-    def view(self, settings: Settings) -> View:  # noqa: ARG002 - the protocol's
+    def view(self, settings: Settings) -> ExperimentView:  # noqa: ARG002 - the protocol's
         """Return the path before and after, how each step gave in, and the tree."""
         now, cliques = self.positions(), self.smoother.cliques()
         touched = sum(clique.touched for clique in cliques)
@@ -140,23 +140,23 @@ class LoopRun(ExperimentRun):
                 1,
                 Chart(
                     name="given", title="How much each step gave in", x="step", y="[m]",
-                    traces=(Trace(name="", kind="line", x=steps, y=given, color=2),),
+                    traces=(ChartTrace(name="", kind="line", x=steps, y=given, color=2),),
                     y_range=(0.0, max(1.5 * float(given.max()), 1e-3)),
                 ),
             )  # fmt: skip
-        return View(message=self._message(touched, len(cliques)), readings=tuple(readings), charts=tuple(charts),
-                    done=self.driven == POSES)  # fmt: skip
+        message, done = self._message(touched, len(cliques)), self.driven == POSES
+        return ExperimentView(message=message, readings=tuple(readings), charts=tuple(charts), done=done)
 
     def _path_chart(self, now: NDArray[np.float64]) -> Chart:
         truth = self.truth.translation[: self.driven + 1]
-        traces = [Trace(name="truth", kind="line", x=truth[:, 0], y=truth[:, 1], color=0, dashed=True)]
+        traces = [ChartTrace(name="truth", kind="line", x=truth[:, 0], y=truth[:, 1], color=0, dashed=True)]
         if self.before is not None:
-            traces.append(Trace(name="before", kind="line", x=self.before[:, 0], y=self.before[:, 1], color=3))
+            traces.append(ChartTrace(name="before", kind="line", x=self.before[:, 0], y=self.before[:, 1], color=3))
             pairs = np.stack([self.before, now[: len(self.before)], np.full_like(self.before, np.nan)], axis=1)[::2]
             flat = pairs.reshape(-1, 2)
-            traces.append(Trace(name="correction", kind="segments", x=flat[:, 0], y=flat[:, 1], color=3))
-        traces.append(Trace(name="estimate", kind="line", x=now[:, 0], y=now[:, 1], color=1))
-        traces.append(Trace(name="start", kind="points", x=now[:1, 0], y=now[:1, 1], color=2))
+            traces.append(ChartTrace(name="correction", kind="segments", x=flat[:, 0], y=flat[:, 1], color=3))
+        traces.append(ChartTrace(name="estimate", kind="line", x=now[:, 0], y=now[:, 1], color=1))
+        traces.append(ChartTrace(name="start", kind="points", x=now[:1, 0], y=now[:1, 1], color=2))
         return Chart(name="path", title="The drive, from above", x="x [m]", y="y [m]", equal=True, traces=tuple(traces))
 
     def _message(self, touched: int, cliques: int) -> str:
@@ -192,11 +192,11 @@ def _tree_chart(cliques: tuple[CliqueRecord, ...]) -> Chart:
             here, above = (across[clique.number], -depth[clique.number]), (across[clique.parent], -depth[clique.parent])
             edges += [here, above, (float("nan"), float("nan"))]
     lines = np.array(edges).reshape(-1, 2)
-    traces = [Trace(name="", kind="segments", x=lines[:, 0], y=lines[:, 1], color=0)]
+    traces = [ChartTrace(name="", kind="segments", x=lines[:, 0], y=lines[:, 1], color=0)]
     for name, touched, color in (("kept", False, 1), ("made by the last update", True, 2)):
         part = [clique.number for clique in cliques if clique.touched is touched]
         x, y = [across[number] for number in part], [-depth[number] for number in part]
-        traces.append(Trace(name=name, kind="points", x=x, y=y, color=color))
+        traces.append(ChartTrace(name=name, kind="points", x=x, y=y, color=color))
     return Chart(name="tree", title="The Bayes tree, root on top", x="", y="depth [cliques]", traces=tuple(traces))
 
 

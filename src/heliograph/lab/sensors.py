@@ -13,13 +13,13 @@ from heliograph.data import ImuBatch, Scan, ScanResult
 from heliograph.errors import DataError
 from heliograph.lab.experiment import (
     Chart,
+    ChartTrace,
     Control,
     Experiment,
     ExperimentRun,
+    ExperimentView,
     Reading,
     Settings,
-    Trace,
-    View,
     WorkedNumber,
 )
 from heliograph.lie import se3
@@ -145,7 +145,7 @@ class SensorsRun(ExperimentRun):
         shift = (T_truth[0] @ np.linalg.inv(T[0]) @ T)[:, :3, 3] - T_truth[:, :3, 3]
         return np.asarray(np.linalg.norm(shift, axis=1))
 
-    def view(self, settings: Settings) -> View:
+    def view(self, settings: Settings) -> ExperimentView:
         """Return the chosen map, and the distances from the truth of all three."""
         shown = str(settings["mode"])
         track, errors = self.tracks[shown], {name: self.errors(name) for name in MODES}
@@ -172,25 +172,25 @@ class SensorsRun(ExperimentRun):
                 name="errors", title="Distance from the truth", x="time [s]", y="[m]", log=True,
                 x_range=(0.0, _SECONDS),
                 traces=tuple(
-                    Trace(name=name, kind="line", x=seconds[name], y=np.maximum(e, 1e-4), color=color)
+                    ChartTrace(name=name, kind="line", x=seconds[name], y=np.maximum(e, 1e-4), color=color)
                     for color, (name, e) in enumerate(errors.items(), 1)
                 ),
             ),
         )  # fmt: skip
-        return View(message=self._message(errors), readings=tuple(readings), charts=charts, done=self.done)
+        return ExperimentView(message=self._message(errors), readings=tuple(readings), charts=charts, done=self.done)
 
     @property
     def _first(self) -> int:
         return min((track.stamps_ns[0] for track in self.tracks.values() if track.stamps_ns), default=0)
 
-    def _map(self, track: Track) -> tuple[Trace, ...]:
+    def _map(self, track: Track) -> tuple[ChartTrace, ...]:
         if not track.stamps_ns:
             return ()
         at_height = track.points[np.abs(track.points[:, 2]) < _SLICE]
         path = np.stack(track.T_odom_imu)[:, :2, 3]
         return (
-            Trace(name="wall", kind="points", x=at_height[:, 0], y=at_height[:, 1], color=0),
-            Trace(name="path", kind="line", x=path[:, 0], y=path[:, 1], color=2),
+            ChartTrace(name="wall", kind="points", x=at_height[:, 0], y=at_height[:, 1], color=0),
+            ChartTrace(name="path", kind="line", x=path[:, 0], y=path[:, 1], color=2),
         )
 
     def _message(self, errors: dict[str, NDArray[np.float64]]) -> str:

@@ -13,7 +13,16 @@ from numpy.typing import NDArray
 from heliograph.cloud import voxel_downsample
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, Scan, ScanResult, Trajectory
-from heliograph.lab.experiment import Chart, Control, Experiment, ExperimentRun, Reading, Settings, Trace, View
+from heliograph.lab.experiment import (
+    Chart,
+    ChartTrace,
+    Control,
+    Experiment,
+    ExperimentRun,
+    ExperimentView,
+    Reading,
+    Settings,
+)
 from heliograph.lie import se3
 from heliograph.metrics import absolute_trajectory_error, associate, map_sharpness
 from heliograph.odometry import Odometry, make_odometry, odometry_names
@@ -134,14 +143,14 @@ class SideBySideRun(ExperimentRun):
         truth = Trajectory(stamps_ns=stamps, T_frame_body=self.simulation.truth.pose(stamps))
         return absolute_trajectory_error(associate(estimate, truth), mode="origin").rmse
 
-    def view(self, settings: Settings) -> View:  # noqa: ARG002 - the protocol's
+    def view(self, settings: Settings) -> ExperimentView:  # noqa: ARG002 - the protocol's
         """Return the paths, and the table: error, time, loops, thickness of the map."""
         readings, traces = [], []
         for color, (name, arm) in enumerate(self.arms.items(), 1):
             if not arm.stamps_ns:
                 continue
             path = arm.poses()[:, :2, 3]
-            traces.append(Trace(name=name, kind="line", x=path[:, 0], y=path[:, 1], color=color))
+            traces.append(ChartTrace(name=name, kind="line", x=path[:, 0], y=path[:, 1], color=color))
             ms = 1e3 * arm.seconds / len(arm.stamps_ns)
             readings.append(
                 Reading(name=f"ate_{name}", label=f"{name}: ATE", value=1e3 * self.error(arm), digits=1, unit="mm")
@@ -156,7 +165,7 @@ class SideBySideRun(ExperimentRun):
         charts = (
             Chart(name="paths", title="Paths, from above", x="x [m]", y="y [m]", equal=True, traces=tuple(traces)),
         )
-        return View(message=self._message(), readings=tuple(readings), charts=charts, done=self.done)
+        return ExperimentView(message=self._message(), readings=tuple(readings), charts=charts, done=self.done)
 
     def _message(self) -> str:
         missing = [name for name in ARMS if name not in self.arms]

@@ -9,13 +9,13 @@ from heliograph.cloud import deskew, voxel_downsample
 from heliograph.data import ImuBatch, Scan, ScanResult
 from heliograph.lab.experiment import (
     Chart,
+    ChartTrace,
     Control,
     Experiment,
     ExperimentRun,
+    ExperimentView,
     Reading,
     Settings,
-    Trace,
-    View,
     WorkedNumber,
 )
 from heliograph.lab.sensors import SWEEP, light, shaken_room
@@ -36,7 +36,7 @@ def point_of_the_lesson(speed: float = 1.5, age: float = 0.08, distance: float =
     Parameters
     ----------
     speed : float
-        Of the sensor, straight ahead [m/s].
+        Speed of the sensor, straight ahead [m/s].
     age : float
         When the point was measured, after the start of the sweep [s].
     distance : float
@@ -101,7 +101,7 @@ class SweepRun(ExperimentRun):
         self.moved = float(np.linalg.norm(result.v_odom)) * SWEEP
         self.path.append(result.T_odom_imu[:2, 3].copy())
 
-    def view(self, settings: Settings) -> View:
+    def view(self, settings: Settings) -> ExperimentView:
         """Return the last sweep both ways, and the map of the chosen way."""
         chosen = "corrected" if settings["deskew"] else "raw"
         readings = [
@@ -125,18 +125,20 @@ class SweepRun(ExperimentRun):
         sweep = Chart(
             name="sweep", title="One sweep, from above", x="x [m]", y="y [m]", equal=True,
             traces=tuple(
-                Trace(name=name, kind="points", x=cloud[:, 0], y=cloud[:, 1], color=color)
+                ChartTrace(name=name, kind="points", x=cloud[:, 0], y=cloud[:, 1], color=color)
                 for (name, cloud), color in zip(at_height.items(), (3, 1), strict=True)
             ),
         )  # fmt: skip
         growing = Chart(
             name="map", title=f"The map of {chosen} sweeps", x="x [m]", y="y [m]", equal=True,
             traces=(
-                Trace(name="wall", kind="points", x=grown[:, 0], y=grown[:, 1], color=0),
-                Trace(name="path", kind="line", x=path[:, 0], y=path[:, 1], color=2),
+                ChartTrace(name="wall", kind="points", x=grown[:, 0], y=grown[:, 1], color=0),
+                ChartTrace(name="path", kind="line", x=path[:, 0], y=path[:, 1], color=2),
             ),
         )  # fmt: skip
-        return View(message=self._message(), readings=tuple(readings), charts=(sweep, growing), done=self.done)
+        return ExperimentView(
+            message=self._message(), readings=tuple(readings), charts=(sweep, growing), done=self.done
+        )
 
     def _message(self) -> str:
         if len(self.path) < _REST_SCANS:

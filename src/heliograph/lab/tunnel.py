@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from heliograph.data import ImuBatch, Scan, ScanResult
 from heliograph.lab.experiment import (
     Chart,
+    ChartTrace,
     Control,
     Experiment,
     ExperimentRun,
+    ExperimentView,
     Reading,
     Settings,
-    Trace,
-    View,
     WorkedNumber,
 )
 from heliograph.lab.sensors import light
@@ -87,7 +87,7 @@ class TunnelRun(ExperimentRun):
         variance = np.array([a @ r.pose_covariance[3:, 3:] @ a for a, r in zip(axis, self.results, strict=True)])
         return T[:, 0, 3] - T[0, 0, 3], T_truth[:, 0, 3] - T_truth[0, 0, 3], np.sqrt(np.maximum(variance, 0.0))
 
-    def view(self, settings: Settings) -> View:  # noqa: ARG002 - the protocol's
+    def view(self, settings: Settings) -> ExperimentView:  # noqa: ARG002 - the protocol's
         """Return the eigenvalues of the last scan and over time, and how far along the tunnel one is said to be."""
         last, (estimated, true, sigma) = self.results[-1], self.along()
         seconds = np.array([r.end_ns - self.results[0].end_ns for r in self.results]) * 1e-9
@@ -107,26 +107,26 @@ class TunnelRun(ExperimentRun):
         charts = (
             Chart(
                 name="bars", title="Eigenvalues of this scan's information", x="", y="share", log=True,
-                traces=(Trace(name="", kind="bars", x=_AXES, y=np.maximum(now, 1e-5), color=1),),
+                traces=(ChartTrace(name="", kind="bars", x=_AXES, y=np.maximum(now, 1e-5), color=1),),
                 y_range=(1e-5, 1.0), lines=((1.0 / 3.0, "even in all directions"),),
             ),
             Chart(
                 name="shares", title="The same over time", x="time [s]", y="share", log=True, x_range=(0.0, _SECONDS),
                 y_range=(1e-5, 1.0),
                 traces=tuple(
-                    Trace(name=name, kind="line", x=seconds, y=np.maximum(shares[:, i], 1e-5), color=color)
+                    ChartTrace(name=name, kind="line", x=seconds, y=np.maximum(shares[:, i], 1e-5), color=color)
                     for i, (name, color) in enumerate(zip(_AXES, (2, 4, 1), strict=True))
                 ),
             ),
             Chart(
                 name="along", title="Way along the tunnel", x="time [s]", y="[m]", x_range=(0.0, _SECONDS),
                 traces=(
-                    Trace(name="truth", kind="line", x=seconds, y=true, color=0, dashed=True),
-                    Trace(name="estimate", kind="line", x=seconds, y=estimated, color=1),
+                    ChartTrace(name="truth", kind="line", x=seconds, y=true, color=0, dashed=True),
+                    ChartTrace(name="estimate", kind="line", x=seconds, y=estimated, color=1),
                 ),
             ),
         )  # fmt: skip
-        return View(message=self._message(last, error), readings=readings, charts=charts, done=self.done)
+        return ExperimentView(message=self._message(last, error), readings=readings, charts=charts, done=self.done)
 
     def _message(self, last: ScanResult, error: float) -> str:
         helped = "the IMU carries it" if self._aided else "without an IMU nothing does"

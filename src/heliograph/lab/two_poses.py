@@ -12,13 +12,13 @@ from heliograph.graph import Between, FactorGraph, Isotropic, Marginals, Prior, 
 from heliograph.lab.experiment import (
     Action,
     Chart,
+    ChartTrace,
     Control,
     Experiment,
     ExperimentRun,
+    ExperimentView,
     Reading,
     Settings,
-    Trace,
-    View,
     WorkedNumber,
 )
 
@@ -87,7 +87,7 @@ class TwoPlaces(ExperimentRun):
             graph.add(Prior(1, [float(s["measured"])], Isotropic(float(s["fix_sigma"]))))
         return graph, values
 
-    def view(self, settings: Settings) -> View:
+    def view(self, settings: Settings) -> ExperimentView:
         """Return the solution, its marginals, and the filter's answer."""
         self.settings = dict(settings)
         graph, values = self.graph()
@@ -95,7 +95,7 @@ class TwoPlaces(ExperimentRun):
             solution = solve(graph, values)
             joint = Marginals(graph, solution.values).joint([0, 1])
         except GraphError as error:
-            return View(message=f"The engine refuses: {error}", charts=(self._numbers_line(None, None),))
+            return ExperimentView(message=f"The engine refuses: {error}", charts=(self._numbers_line(None, None),))
         x = solution.values.at([0, 1])[:, 0]
         sigma = np.sqrt(np.diag(joint))
         readings = [
@@ -119,7 +119,7 @@ class TwoPlaces(ExperimentRun):
                 f"Filter and graph agree on x1 = {x[1]:.3f} m; the graph moves x0 back to {x[0]:.3f} m as well, "
                 "which the filter has left behind at 0."
             )
-        return View(message=message, readings=tuple(readings), charts=tuple(charts), done=True)
+        return ExperimentView(message=message, readings=tuple(readings), charts=tuple(charts), done=True)
 
     def _kalman(self) -> KalmanEstimate:
         s = self.settings
@@ -143,7 +143,7 @@ class TwoPlaces(ExperimentRun):
         traces = []
         for height, (name, middle, spread, color) in enumerate(reversed(rows)):
             ends = [middle - spread, middle, middle + spread]
-            traces.append(Trace(name=name, kind="interval", x=ends, y=[float(height)] * 3, color=color))
+            traces.append(ChartTrace(name=name, kind="interval", x=ends, y=[float(height)] * 3, color=color))
         return Chart(
             name="line", title="What is said, and what comes out (± 1 sigma)", x="place [m]", y="",
             traces=tuple(traces[::-1]), y_range=(-0.7, len(rows) - 0.3),
@@ -156,8 +156,8 @@ def _ellipse_chart(x: NDArray[np.float64], joint: NDArray[np.float64]) -> Chart:
     return Chart(
         name="ellipse", title="Joint covariance of both places (1 sigma)", x="x0 [m]", y="x1 [m]", equal=True,
         traces=(
-            Trace(name="1 sigma", kind="line", x=edge[0], y=edge[1], color=1),
-            Trace(name="solution", kind="points", x=x[:1], y=x[1:], color=2),
+            ChartTrace(name="1 sigma", kind="line", x=edge[0], y=edge[1], color=1),
+            ChartTrace(name="solution", kind="points", x=x[:1], y=x[1:], color=2),
         ),
     )  # fmt: skip
 

@@ -31,7 +31,7 @@ def lettered(image: NDArray[np.uint8], view: View) -> NDArray[np.uint8]:
         A picture of ``view``.
     view : View
     """
-    out = image.copy()
+    out: NDArray[np.uint8] = image.copy()
     rows, columns = out.shape[:2]
     dot = max(1, round(min(rows, columns) / 300))
     length = round_length(columns * view.pixel / 5.0)

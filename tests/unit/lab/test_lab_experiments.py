@@ -160,10 +160,10 @@ def drive(name, given, steps):
 
 
 def test_shaken_lidar_smears_and_both_sensors_do_not():
-    shown = drive("sensors", {"speed": 1.5}, 35)
+    shown = drive("sensors", {"speed": 1.5}, 24)
     assert shown["error_fused"] < 0.02
     assert shown["error_LiDAR"] > 5.0 * shown["error_fused"]
-    assert drive("sensors", {"speed": 0.2, "shake": 0.0}, 35)["error_LiDAR"] < 0.5 * shown["error_LiDAR"]
+    assert drive("sensors", {"speed": 0.2, "shake": 0.0}, 24)["error_LiDAR"] < 0.5 * shown["error_LiDAR"]
 
 
 def test_raw_sweeps_make_thicker_walls_than_corrected_ones():
