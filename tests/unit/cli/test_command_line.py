@@ -19,8 +19,8 @@ from heliograph.sim import find_scenario
 from heliograph.sim.write import write_recording
 
 FILES = {
-    "trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum", "map.ply", "map.png", "scans.csv", "run.json",
-    "keyframes", "loops.csv", "graph.g2o", "graph.npz",
+    "trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum", "map.ply", "map.png", "map.pgw", "scans.csv",
+    "run.json", "keyframes", "loops.csv", "graph.g2o", "graph.npz",
     "config.toml", "report.html",
 }  # fmt: skip
 
