@@ -15,8 +15,9 @@ from pathlib import Path
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "heliograph"
 
-# What everybody may import; `atomic`, `chi_square`, `plugins`, `config` and its helpers know only the errors.
-COMMON = {"arrays", "atomic", "chi_square", "errors", "plugins", "_core"}
+# What everybody may import; `atomic`, `chi_square`, `plugins`, `config` and its helpers know only the errors,
+# `geodesy` nothing.
+COMMON = {"arrays", "atomic", "chi_square", "errors", "geodesy", "plugins", "_core"}
 COMMON |= {"config", "config_checks", "config_registration", "config_toml"}
 SENSING = {"lie", "data"}
 ODOMETRY = SENSING | {"cloud", "imu", "maps", "registration"}
@@ -30,6 +31,7 @@ ALLOWED: dict[str, set[str]] = {
     "arrays": {"errors"},
     "atomic": {"errors"},
     "chi_square": {"errors"},
+    "geodesy": set(),
     "plugins": {"errors"},
     "config_checks": {"errors"},
     "config_registration": {"errors", "config_checks"},
@@ -46,6 +48,7 @@ ALLOWED: dict[str, set[str]] = {
     "graph": COMMON | {"lie"},
     "factors": COMMON | FACTORS,
     "slam": COMMON | SLAM | {"metrics"},
+    "survey": COMMON | SLAM | {"slam", "io"},
     "revision": COMMON | SLAM | {"slam", "io", "output"},
     "calibration": COMMON | SLAM,
     "io": COMMON | SENSING,
@@ -60,7 +63,7 @@ ALLOWED: dict[str, set[str]] = {
     "cli": COMMON
     | SLAM
     | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report"}
-    | {"revision", "lab"},
+    | {"revision", "survey", "lab"},
 }
 """Room below `heliograph` -> the rooms that it may import."""
 
@@ -105,10 +108,21 @@ STOREYS: dict[str, dict[str, set[str]]] = {
         "loop_search": {"covariances", "loops", "places", "store"},
         "pose_factors": set(),
         "inertial_factors": set(),
-        "back_end": {"covariances", "inertial_factors", "loop_search", "loops", "pose_factors", "store"},
-        "graph_files": {"back_end", "loops", "store"},
+        "gnss": {"covariances"},
+        "wheels": {"inertial_factors"},
+        "back_end": {
+            "covariances",
+            "gnss",
+            "inertial_factors",
+            "loop_search",
+            "loops",
+            "pose_factors",
+            "store",
+            "wheels",
+        },
+        "graph_files": {"back_end", "gnss", "loops", "store"},
         "given_poses": {"loops"},
-        "session": {"back_end", "given_poses", "graph_files", "keyframes", "store"},
+        "session": {"back_end", "given_poses", "gnss", "graph_files", "keyframes", "store"},
     },
 }
 """The same inside the rooms that have storeys; their ``__init__`` may import all of them."""

@@ -13,6 +13,8 @@ inline constexpr int32_t kLeverArmPosition = kFirstBrought + 2;
 inline constexpr int32_t kVelocity = kFirstBrought + 3;
 inline constexpr int32_t kLidarPose = kFirstBrought + 4;
 inline constexpr int32_t kCalibrationPrior = kFirstBrought + 5;
+inline constexpr int32_t kAnchoredPosition = kFirstBrought + 6;
+inline constexpr int32_t kScaledMotion = kFirstBrought + 7;
 
 // Doubles of a measurement on gravity: the vector, or the magnitude behind a variable.
 constexpr size_t gravity_numbers(bool variable) { return variable ? 1 : 3; }

@@ -25,6 +25,17 @@ FactorShape shape_of_lever_arm(const ShapeQuery& q) {
   return {pose && (q.arity() == 1 || variable), 3, variable ? 3 : 6};
 }
 
+FactorShape shape_of_anchored_position(const ShapeQuery& q) {
+  const bool pose = q.is(0, Manifold::se3) || q.is(0, Manifold::nav), variable = q.arity() == 3 && q.vector(2, 3);
+  return {(q.arity() == 2 || variable) && pose && q.is(1, Manifold::se3), 3, 6};
+}
+
+FactorShape shape_of_scaled_motion(const ShapeQuery& q) {
+  if (q.arity() != 3 || !q.vector(2, 1)) return {};
+  const bool plain = q.is(0, Manifold::se3) && q.is(1, Manifold::se3), extended = q.is(0, Manifold::nav) && q.is(1, Manifold::nav);
+  return {plain || extended, 3, 6};
+}
+
 FactorShape shape_of_velocity(const ShapeQuery& q) { return {q.arity() == 1 && q.is(0, Manifold::nav), 3, 3}; }
 
 FactorShape shape_of_lidar_pose(const ShapeQuery& q) {
@@ -51,6 +62,8 @@ constexpr ResidualKind kKinds[] = {
     kind_of(kVelocity, shape_of_velocity),
     kind_of(kLidarPose, shape_of_lidar_pose),
     kind_of(kCalibrationPrior, shape_of_calibration_prior),
+    kind_of(kAnchoredPosition, shape_of_anchored_position),
+    kind_of(kScaledMotion, shape_of_scaled_motion),
 };
 
 }  // namespace

@@ -21,6 +21,12 @@ static bool visit_lever_arm(const Action& action) {
                                 : action.template with<LeverArmPosition<P, false>>();
 }
 
+template <class P, class Action>
+static bool visit_anchored(const Action& action) {
+  return action.view.arity == 3 ? action.template with<AnchoredPosition<P, true>>()
+                                : action.template with<AnchoredPosition<P, false>>();
+}
+
 struct Sensors {
   template <class Action>
   static bool visit(const Action& action) {
@@ -32,6 +38,11 @@ struct Sensors {
       case kVelocity: return action.template with<Velocity>();
       case kLidarPose: return action.template with<LidarPose>();
       case kCalibrationPrior: return action.template with<CalibrationPrior>();
+      case kAnchoredPosition:
+        return action.view.manifold[0] == Manifold::se3 ? visit_anchored<PoseSe3>(action) : visit_anchored<PoseNav>(action);
+      case kScaledMotion:
+        return action.view.manifold[0] == Manifold::se3 ? action.template with<ScaledMotion<PoseSe3>>()
+                                                        : action.template with<ScaledMotion<PoseNav>>();
       default: return false;
     }
   }

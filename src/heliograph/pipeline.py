@@ -5,17 +5,21 @@ from __future__ import annotations
 import os
 import tempfile
 import time
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from heliograph.calibration import align_mounting
-from heliograph.config import RunConfig
-from heliograph.data import Event, GnssFix, ImuBatch, Message, Rig, Scan, ScanResult, Source
+from heliograph.config import GnssConfig, RunConfig
+from heliograph.data import Event, GnssFix, ImuBatch, Message, Rig, Scan, ScanResult, Source, WheelSpeeds
 from heliograph.errors import CalibrationError, ConfigError, DataError
+from heliograph.io.files.fixes import read_fixes
 from heliograph.io.files.poses import is_pose_file, read_poses
+from heliograph.io.files.wheels import read_wheel_speeds
 from heliograph.io.prefetch import prefetch
 from heliograph.odometry import Odometry, PoseFileOdometry, make_odometry
 from heliograph.output.final_poses import FinalPoses
@@ -61,13 +65,20 @@ def run(
     OutputError
         A sink could not write. After any failure, every sink has been closed with what was done till then.
     """
+    if config.gnss.use and config.gnss.file:
+        read_fixes(config.gnss.file, near_ns=1)  # what is wrong with it is told before the work begins
+    speeds = wheel_speeds(config)
     account = Account(sinks, opening_seconds)
     clock, sensors, threads = account.clock, sensors_in_use(recording, config), thread_count(config)
     rig, found = mounted(recording, config, sensors, threads, clock, stop)  # 0. align the sensors where nothing tells
     odometry = odometry or chosen_odometry(config, rig, sensors, threads)
-    with back_end(folder, config, sensors) as slam:
+    with back_end(folder, config, sensors, rig) as slam:
+        if speeds is not None:
+            slam.observe_speeds(speeds)
         with account.until_the_end(), closing(messages(recording, sensors, threads)) as stream:
-            for message in clock.each("reading", stream):  # 1. the recording's messages, in causal order
+            for message in clock.each(
+                "reading", with_side_fixes(stream, config.gnss)
+            ):  # 1. the recording's messages, in causal order
                 account.observe(message, slam)
                 with clock("odometry"):
                     results = odometry.add(message)  # 2. none, one or several scans are ready
@@ -91,16 +102,19 @@ def run(
 
 
 @contextmanager
-def back_end(folder: Path | None, config: RunConfig, sensors: frozenset[str]) -> Iterator[SlamSession | NoSlam]:
+def back_end(
+    folder: Path | None, config: RunConfig, sensors: frozenset[str], rig: Rig
+) -> Iterator[SlamSession | NoSlam]:
     """Yield the back-end of a run; without a LiDAR, or where it is switched off, one that does nothing."""
     if not config.slam.graph or "lidar" not in sensors:
         given = is_pose_file(config.odometry) and "lidar" in sensors
         yield NoSlam(("nothing compared the poses of the file with the clouds (--no-graph)",) if given else ())
     elif folder is not None:
-        yield SlamSession(folder, config, poses_given=is_pose_file(config.odometry))
+        yield SlamSession(folder, config, poses_given=is_pose_file(config.odometry), antenna_imu=rig.antenna_imu)
     else:
         with tempfile.TemporaryDirectory(prefix="heliograph_") as path:
-            yield SlamSession(Path(path), config, poses_given=is_pose_file(config.odometry), kept=False)
+            given = is_pose_file(config.odometry)
+            yield SlamSession(Path(path), config, poses_given=given, kept=False, antenna_imu=rig.antenna_imu)
 
 
 def mounted(
@@ -173,6 +187,36 @@ def thread_count(config: RunConfig) -> int:
     if config.threads < 0:
         raise ConfigError(f"threads = {config.threads} is negative; 0 means min(2, cores)")
     return config.threads or min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
+
+
+def wheel_speeds(config: RunConfig) -> WheelSpeeds | None:
+    """Return the speeds of the file beside the recording, on the recording's clock; None where none is named."""
+    if not config.wheels.file:
+        return None
+    speeds, late_ns = read_wheel_speeds(config.wheels.file), round(1e9 * config.wheels.clock_offset)
+    return replace(speeds, stamps_ns=speeds.stamps_ns - late_ns, received_ns=speeds.received_ns - late_ns)
+
+
+def with_side_fixes(stream: Iterator[Message], config: GnssConfig) -> Iterator[Message]:
+    """Yield a recording's messages with the fixes of a file, where one is named, in place of its own."""
+    if not config.use or not config.file:
+        yield from stream
+        return
+    fixes: deque[GnssFix] | None = None
+    for message in stream:
+        if fixes is None:
+            fixes = deque(_on_the_recordings_clock(config, message.received_ns))
+        while fixes and fixes[0].received_ns <= message.received_ns:
+            yield fixes.popleft()
+        if not isinstance(message, GnssFix):
+            yield message
+    yield from fixes or ()
+
+
+def _on_the_recordings_clock(config: GnssConfig, near_ns: int) -> list[GnssFix]:
+    late_ns = round(1e9 * config.clock_offset)
+    fixes = read_fixes(config.file, near_ns=near_ns + late_ns)
+    return [replace(fix, stamp_ns=fix.stamp_ns - late_ns, received_ns=fix.stamp_ns - late_ns) for fix in fixes]
 
 
 class Clock:

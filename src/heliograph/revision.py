@@ -25,6 +25,7 @@ from heliograph.output.final_poses import FinalPoses
 from heliograph.output.scan_log import rewrite_scans
 from heliograph.output.trajectories import FILES, rewrite
 from heliograph.slam import KEYFRAMES, BackEnd, KeyframeStore
+from heliograph.slam.gnss import KeptFixes, kept_fixes
 from heliograph.slam.graph_files import write_graph_files
 from heliograph.slam.loops import Ledger, LedgerEntry
 from heliograph.slam.loops.ledger_file import read_ledger
@@ -51,6 +52,8 @@ class RunGraph:
     ledger : Ledger
     T_map_imu : (K, 4, 4) float64
         Poses of the keyframes in the files of the map frame.
+    fixes : KeptFixes or None
+        What the graph holds of satellite fixes.
     """
 
     folder: Path
@@ -59,6 +62,7 @@ class RunGraph:
     store: KeyframeStore
     ledger: Ledger
     T_map_imu: Array
+    fixes: KeptFixes | None = None
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -87,7 +91,7 @@ class RunGraph:
                 f"a loop joins two of the keyframes 0 to {len(self.store) - 1}, not {query} and {match}; "
                 "loops.csv and `heliograph loops` number them"
             )
-        evidence = BackEnd.replayed(self.config, self.store, self.ledger).compare(query, match)
+        evidence = BackEnd.replayed(self.config, self.store, self.ledger, self.fixes).compare(query, match)
         if evidence.status not in ("converged", "degenerate"):
             raise DataError(
                 f"keyframes {query} and {match} do not match ({evidence.status}, overlap {evidence.overlap:.0%}): "
@@ -105,8 +109,8 @@ class RunGraph:
         OutputError
             A file cannot be written; the run is as it was.
         """
-        back_end = BackEnd.replayed(self.config, self.store, self.ledger)
-        T_new = back_end.T_map_imu if back_end.closed else _levelled(self.facts, back_end.chain.T_odom_imu)
+        back_end = BackEnd.replayed(self.config, self.store, self.ledger, self.fixes)
+        T_new = back_end.T_map_imu if back_end.moves else _levelled(self.facts, back_end.chain.T_odom_imu)
         moved = FinalPoses(stamps_ns=back_end.chain.stamps_ns, T_odom_imu=self.T_map_imu, T_map_imu=T_new)
         with atomic_folder(self.folder) as folder:
             for name in _IN_MAP:
@@ -114,6 +118,10 @@ class RunGraph:
                     rewrite(self.folder / name, moved, folder / name)
             account = back_end.account(files=write_graph_files(folder, back_end))
             facts = {**self.facts, "graph": graph_facts(account), "map_points": self._write_map(folder, T_new)}
+            if "wheels" in self.facts["graph"]:
+                facts["graph"]["wheels"] = self.facts["graph"]["wheels"]
+            if "gnss" in self.facts["graph"]:
+                facts["graph"]["gnss"] = _gnss_facts(self.facts["graph"]["gnss"], back_end)
             if (self.folder / _SCANS).is_file():
                 p = rewrite_scans(self.folder / _SCANS, moved, folder / _SCANS)
                 facts["start_end_gap_m"] = float(np.linalg.norm(p[-1] - p[0])) if len(p) else 0.0
@@ -150,15 +158,16 @@ def open_run_graph(folder: Path | str) -> RunGraph:
     ledger = read_ledger(folder / "loops.csv", config.loops)
     T_odom = np.stack([store.T_odom_imu(index) for index in range(len(store))])
     T = _levelled(facts, T_odom)
-    if ledger.accepted():
-        _, values = load_graph(folder / "graph.npz", factors=SENSOR_FACTORS)
+    fixes = None
+    if ledger.accepted() or _held(facts["graph"]):
+        graph, values = load_graph(folder / "graph.npz", factors=SENSOR_FACTORS)
         keys = X(np.arange(len(store)))
         if any(key not in values for key in keys.tolist()):
             raise FormatError(
                 folder / "graph.npz", f"does not hold the {len(store)} keyframes of the run; run it again"
             )
-        T = np.ascontiguousarray(values.at(keys).matrix[:, :4, :4])
-    return RunGraph(folder=folder, config=config, facts=facts, store=store, ledger=ledger, T_map_imu=T)
+        T, fixes = np.ascontiguousarray(values.at(keys).matrix[:, :4, :4]), kept_fixes(graph, values)
+    return RunGraph(folder=folder, config=config, facts=facts, store=store, ledger=ledger, T_map_imu=T, fixes=fixes)
 
 
 def _facts(folder: Path) -> dict[str, Any]:
@@ -170,6 +179,19 @@ def _facts(folder: Path) -> dict[str, Any]:
     if not isinstance(facts, dict):
         raise FormatError(path, "is no account of a run; name the folder that `run` wrote")
     return facts
+
+
+def _held(graph: Mapping[str, Any]) -> bool:
+    """Whether more than odometry and loops holds the keyframes: fixes, or wheels."""
+    return bool(graph.get("gnss", {}).get("aligned") or graph.get("wheels", {}).get("scale") is not None)
+
+
+def _gnss_facts(facts: Mapping[str, Any], back_end: BackEnd) -> dict[str, Any]:
+    """Return what the run said of its fixes, with where the map lies now."""
+    _, values = back_end.graph()
+    if int(Symbol("E")(0)) not in values:
+        return dict(facts)
+    return {**facts, "T_map_enu": values.at(Symbol("E")(0)).matrix.tolist()}
 
 
 def _levelled(facts: Mapping[str, Any], T_odom_imu: Array) -> Array:

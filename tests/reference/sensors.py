@@ -33,6 +33,14 @@ def lever_arm(T, arm, z):
     return T[:3, 3] + T[:3, :3] @ arm - z
 
 
+def anchored_position(T, frame, arm, z):
+    return frame[:3, :3].T @ (T[:3, 3] + T[:3, :3] @ arm - frame[:3, 3]) - z
+
+
+def scaled_motion(T_i, T_j, scale, arm, d):
+    return T_i[:3, :3].T @ (T_j[:3, 3] + T_j[:3, :3] @ arm - T_i[:3, 3]) - arm - scale[0] * d
+
+
 def lidar_pose(X, E, clock, Z, omega, span):
     later = clock[0] + span * clock[1]
     moved = se3.from_rotation_translation(X[:3, :3] @ so3.exp(later * omega), X[:3, 3] + later * X[:3, 4])

@@ -11,7 +11,7 @@ import pytest
 
 import heliograph
 from heliograph.checks.records import CheckedMotion
-from heliograph.data import GnssFix, ImuBatch, Keyframe, Rig, Scan, Trajectory
+from heliograph.data import Georeference, GnssFix, ImuBatch, Keyframe, Rig, Scan, Trajectory, WheelSpeeds
 from heliograph.data.imu_record import ImuRecord
 from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose
 from heliograph.maps.global_map import MapCells
@@ -38,7 +38,9 @@ CHECKED = {
     CheckedMotion: {"trajectory": PATH, "tracked": np.zeros(2, bool)},
     Trajectory: {"stamps_ns": STAMPS, "T_frame_body": POSES},
     GnssFix: {"covariance_enu": np.eye(3)},
-    Rig: {"T_imu_lidar": np.eye(4)},
+    Georeference: {"origin_deg": np.zeros(3), "T_map_enu": np.eye(4), "covariance": np.eye(6)},
+    WheelSpeeds: {"stamps_ns": STAMPS, "v_body": np.zeros((2, 3))},
+    Rig: {"T_imu_lidar": np.eye(4), "antenna_imu": np.zeros(3)},
     Scan: {
         "points": np.zeros((2, 3), np.float32),
         "offsets_ns": np.zeros(2, np.int32),

@@ -44,6 +44,8 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
         )
     if "graph" in facts:
         lines.append(_graph_line(facts["graph"]))
+        lines += [facts["graph"]["gnss"]["sentence"]] if "gnss" in facts["graph"] else []
+        lines += _wheel_lines(facts["graph"].get("wheels"))
     for span in facts.get("blind_spans", [])[:3]:
         lines.append(
             f"blind for {span['distance_m']:.0f} m at scans {span['scans'][0]} to {span['scans'][1]}: one-sigma along "
@@ -63,6 +65,17 @@ def _graph_line(graph: Mapping[str, Any]) -> str:
     revoked = f", {loops['revoked']} taken back" if loops["revoked"] else ""
     closed = f"{loops['accepted']} loops of {loops['candidates']} candidates{revoked}"
     return f"{line}{closed}; moved by up to {graph['moved_m']:.3f} m"
+
+
+def _wheel_lines(wheels: Mapping[str, Any] | None) -> list[str]:
+    if wheels is None:
+        return []
+    if wheels["scale"] is None:
+        return [f"wheels: {wheels['speeds']} speeds, none used"]
+    return [
+        f"wheels: {wheels['steps'] - wheels['slips']} of {wheels['steps']} steps used, {wheels['slips']} with slip; "
+        f"scale {wheels['scale']:.4f}, one-sigma {wheels['scale_sigma']:.4f}"
+    ]
 
 
 def warning_lines(facts: Mapping[str, Any]) -> list[str]:

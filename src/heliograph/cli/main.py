@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from heliograph.cli import align, calibrate, check, demo, evaluate, info, lab, loops, run, simulate, solve
+from heliograph.cli import align, calibrate, check, demo, evaluate, info, lab, loops, run, simulate, solve, survey
 from heliograph.cli.options import PluggableCommand
 from heliograph.errors import HeliographError
 
@@ -34,6 +34,7 @@ app.command("run", cls=PluggableCommand, short_help="Recording in, trajectory an
 app.command("info", cls=PluggableCommand, short_help="What a recording holds and what was inferred from it.")(info.info)
 app.command("check", short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
 app.command("loops", short_help="A run's loops: list, explain, revoke, add by hand.")(loops.loops)
+app.command("survey", short_help="A run in a coordinate system, tied to control points.")(survey.survey)
 app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
 app.command("calibrate", short_help="Mounting and clock of LiDAR and IMU, or the IMU's noise.")(calibrate.calibrate)
 app.command("align", short_help="Two clouds: pose, overlap, and what was not observable.")(align.align)

@@ -84,6 +84,8 @@ def build_config(
     input: dict[str, Any] | None = None,
     output: dict[str, Any] | None = None,
     slam: dict[str, Any] | None = None,
+    gnss: dict[str, Any] | None = None,
+    wheels: dict[str, Any] | None = None,
 ) -> RunConfig:
     """Return the defaults, overlaid with the file, then ``--set``, then the options that were given (not None).
 
@@ -97,7 +99,13 @@ def build_config(
 
     config = RunConfig() if config_file is None else load_config(config_file)
     config = apply_overrides(config, settings or [])
-    sections = {"input": _given(input), "output": _given(output), "slam": _given(slam)}
+    sections = {
+        "input": _given(input),
+        "output": _given(output),
+        "slam": _given(slam),
+        "gnss": _given(gnss),
+        "wheels": _given(wheels),
+    }
     changed = {name: replace(getattr(config, name), **values) for name, values in sections.items() if values}
     config = replace(config, **changed, **_given(run))
     if ":" in config.odometry + config.input.reader and (here := str(Path.cwd())) not in sys.path:

@@ -11,6 +11,7 @@ import typer
 from heliograph.cli import options
 from heliograph.cli.closing import print_closing
 from heliograph.cli.options import MapFormat
+from heliograph.cli.survey import check_coordinate_system, deliver_run
 
 if TYPE_CHECKING:
     from heliograph.config import RunConfig
@@ -48,6 +49,20 @@ def run(
     ] = None,
     no_graph: Annotated[bool, typer.Option("--no-graph", help="Odometry alone: no keyframes, no graph.")] = False,
     no_loops: Annotated[bool, typer.Option("--no-loops", help="Look for no loops.")] = False,
+    no_gnss: Annotated[bool, typer.Option("--no-gnss", help="Use no satellite fixes.")] = False,
+    gnss: Annotated[
+        Path | None,
+        typer.Option(
+            "--gnss", metavar="FILE", help="Fixes beside the recording: NMEA, RTKLIB .pos, CSV with a header."
+        ),
+    ] = None,
+    wheels: Annotated[
+        Path | None, typer.Option("--wheels", metavar="FILE", help="Speeds of wheels or legs, a CSV: stamp,vx[,vy,vz].")
+    ] = None,
+    crs: Annotated[
+        str | None,
+        typer.Option("--crs", metavar="NAME", help="Deliver in a coordinate system too: local, utm, EPSG:25832 ..."),
+    ] = None,
     map_format: Annotated[MapFormat | None, typer.Option("--map-format", help="Format of the map file.")] = None,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
@@ -61,10 +76,16 @@ def run(
         run={"odometry": odometry, "sensors": options.sensor_list(sensors), "threads": threads},
         input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration, reader),
         slam={"graph": False if no_graph else None, "loops": False if no_loops else None},
+        wheels={"file": None if wheels is None else str(wheels)},
+        gnss={"use": False if no_gnss else None, "file": None if gnss is None else str(gnss)},
         output={"body": frame, "map_format": map_format and map_format.value},
     )
+    if crs is not None:
+        check_coordinate_system(crs)
     folder, interrupted = execute(recordings, resolved, output, overwrite=overwrite, progress=not quiet)
     print_closing(folder.facts, folder.path, json=json, quiet=quiet)
+    if crs is not None:
+        deliver_run(folder.path, crs)
     if interrupted:
         raise typer.Exit(130)
 

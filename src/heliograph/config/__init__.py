@@ -3,11 +3,13 @@
 from heliograph.config.calibration import CalibrationConfig
 from heliograph.config.checks import CheckConfig
 from heliograph.config.files import InputConfig, OutputConfig
+from heliograph.config.gnss import GnssConfig
 from heliograph.config.loops import LoopConfig, PlacesConfig
 from heliograph.config.odometry import CloudConfig, FilterConfig, ImuConfig, MapConfig
 from heliograph.config.registration import AlignConfig, GlobalAlignConfig, KdTreeMapConfig
 from heliograph.config.run import RunConfig
 from heliograph.config.slam import SlamConfig
+from heliograph.config.wheels import WheelConfig
 
 __all__ = [
     "AlignConfig",
@@ -16,6 +18,7 @@ __all__ = [
     "CloudConfig",
     "FilterConfig",
     "GlobalAlignConfig",
+    "GnssConfig",
     "ImuConfig",
     "InputConfig",
     "KdTreeMapConfig",
@@ -25,4 +28,5 @@ __all__ = [
     "PlacesConfig",
     "RunConfig",
     "SlamConfig",
+    "WheelConfig",
 ]

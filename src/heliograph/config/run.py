@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 from heliograph.config.calibration import CalibrationConfig
 from heliograph.config.checks import CheckConfig
 from heliograph.config.files import InputConfig, OutputConfig
+from heliograph.config.gnss import GnssConfig
 from heliograph.config.loops import LoopConfig, PlacesConfig
 from heliograph.config.odometry import CloudConfig, FilterConfig, ImuConfig, MapConfig
 from heliograph.config.slam import SlamConfig
+from heliograph.config.wheels import WheelConfig
 from heliograph.config_checks import check_choice, check_range
 
 __all__ = ["RunConfig"]
@@ -42,6 +44,8 @@ class RunConfig:
     slam: SlamConfig = field(default_factory=SlamConfig)
     places: PlacesConfig = field(default_factory=PlacesConfig)
     loops: LoopConfig = field(default_factory=LoopConfig)
+    gnss: GnssConfig = field(default_factory=GnssConfig)
+    wheels: WheelConfig = field(default_factory=WheelConfig)
     check: CheckConfig = field(default_factory=CheckConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
 

@@ -3,6 +3,7 @@
 from heliograph.data.clock import ImuClock
 from heliograph.data.event import Event
 from heliograph.data.gnss import GnssFix
+from heliograph.data.gnss_account import Georeference, GnssAccount, JudgedFix
 from heliograph.data.graph_account import GraphAccount
 from heliograph.data.imu import ImuBatch, ImuNoise
 from heliograph.data.imu_record import ImuRecord
@@ -15,15 +16,19 @@ from heliograph.data.scan import Scan
 from heliograph.data.source import Message, Source
 from heliograph.data.start import StartAccount
 from heliograph.data.trajectory import Trajectory
+from heliograph.data.wheels import WheelAccount, WheelSpeeds
 
 __all__ = [
     "Event",
+    "Georeference",
+    "GnssAccount",
     "GnssFix",
     "GraphAccount",
     "ImuBatch",
     "ImuClock",
     "ImuNoise",
     "ImuRecord",
+    "JudgedFix",
     "Keyframe",
     "Message",
     "NavState",
@@ -35,4 +40,6 @@ __all__ = [
     "Source",
     "StartAccount",
     "Trajectory",
+    "WheelAccount",
+    "WheelSpeeds",
 ]

@@ -32,6 +32,9 @@ class GnssFix:
         False when the receiver reports no fix.
     frame_id : str
         Name of the antenna frame.
+    solution : str
+        How the receiver says it came by the position: ``"single"``, ``"sbas"`` (also differential), ``"float"`` or
+        ``"fixed"`` (carrier phase, its ambiguities estimated or resolved); empty where it does not say.
     """
 
     stamp_ns: int
@@ -42,6 +45,7 @@ class GnssFix:
     covariance_enu: NDArray[np.float64] | None = None
     valid: bool = True
     frame_id: str = "gnss"
+    solution: str = ""
 
     def __post_init__(self) -> None:
         if self.covariance_enu is not None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from heliograph.data.gnss_account import GnssAccount
+from heliograph.data.wheels import WheelAccount
+
 __all__ = ["GraphAccount"]
 
 
@@ -19,6 +22,10 @@ class GraphAccount:
         were taken back.
     moved : float
         How far the keyframe that loops moved most lies from odometry, seen from the first one [m].
+    gnss : GnssAccount or None
+        What became of satellite fixes; None where there were none.
+    wheels : WheelAccount or None
+        What became of speeds by wheels or legs; None where there were none.
     files : tuple of str
         Names in the run's folder.
     """
@@ -30,4 +37,6 @@ class GraphAccount:
     rejected: int = 0
     revoked: int = 0
     moved: float = 0.0
+    gnss: GnssAccount | None = None
+    wheels: WheelAccount | None = None
     files: tuple[str, ...] = ()

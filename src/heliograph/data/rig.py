@@ -31,6 +31,8 @@ class Rig:
         One-sigma of the lever arm along each axis [m].
     clock : ImuClock
         The IMU's clock against the LiDAR's.
+    antenna_imu : (3,) float64 or None
+        The satellite receiver's antenna in the imu frame [m]; None: not known.
     """
 
     T_imu_lidar: NDArray[np.float64]
@@ -39,7 +41,11 @@ class Rig:
     sigma_rotation: float = 0.0
     sigma_translation: float = 0.0
     clock: ImuClock = field(default_factory=ImuClock)
+    antenna_imu: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         value = frozen("T_imu_lidar", self.T_imu_lidar, np.float64, (4, 4), finite=True)
         object.__setattr__(self, "T_imu_lidar", value)
+        if self.antenna_imu is not None:
+            antenna = frozen("antenna_imu", self.antenna_imu, np.float64, (3,), finite=True)
+            object.__setattr__(self, "antenna_imu", antenna)

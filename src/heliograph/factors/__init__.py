@@ -4,11 +4,12 @@ from heliograph.factors.calibration_prior import CalibrationPrior
 from heliograph.factors.gravity import GravityDirection, GravityVector
 from heliograph.factors.inertial import CombinedImu, PreintegratedImu
 from heliograph.factors.lidar_pose import LidarPose
-from heliograph.factors.positions import LeverArmPosition, Velocity
+from heliograph.factors.positions import AnchoredPosition, LeverArmPosition, ScaledMotion, Velocity
 from heliograph.graph.model.records import NativeRecord
 
 __all__ = [
     "SENSOR_FACTORS",
+    "AnchoredPosition",
     "CalibrationPrior",
     "CombinedImu",
     "GravityDirection",
@@ -16,15 +17,18 @@ __all__ = [
     "LeverArmPosition",
     "LidarPose",
     "PreintegratedImu",
+    "ScaledMotion",
     "Velocity",
 ]
 
 SENSOR_FACTORS: tuple[type[NativeRecord], ...] = (
+    AnchoredPosition,
     CalibrationPrior,
     CombinedImu,
     LeverArmPosition,
     LidarPose,
     PreintegratedImu,
+    ScaledMotion,
     Velocity,
 )
 """All classes of this room: what `load_graph` needs to read files that hold such factors."""

@@ -61,6 +61,7 @@ class RawFix:
     altitude: float
     covariance_enu: NDArray[np.float64] | None
     valid: bool
+    solution: str = ""
 
     def __post_init__(self) -> None:
         freeze(self)

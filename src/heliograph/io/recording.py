@@ -100,6 +100,8 @@ class Recording:
         self.inferences: tuple[Inference, ...] = interpretation.inferences
         self.topics: tuple[TopicInfo, ...] = source.topics
         self.rig: Rig = interpretation.mounting.rig
+        antenna = self._antenna() if interpretation.gnss else None
+        self.rig = replace(self.rig, antenna_imu=antenna)
         _require_recent(self.rig.clock, interpretation.start_ns)
         names = {"lidar": interpretation.lidar, "imu": interpretation.imu, "gnss": interpretation.gnss}
         self.sensors = frozenset(name for name, topic in names.items() if topic)
@@ -164,6 +166,13 @@ class Recording:
         raise CalibrationError(
             f"no tf links frame '{child}' with the sensors; known frames: {', '.join(known)}{closest(child, known)}"
         )
+
+    def _antenna(self) -> NDArray[np.float64] | None:
+        """Return the receiver's antenna in the imu frame (3,), where the recording's transforms tell it."""
+        try:
+            return np.ascontiguousarray(self.transform(self.interpretation.gnss_frame)[:3, 3])
+        except CalibrationError:
+            return None
 
     def stream(self) -> Iterator[Message]:
         """Yield scans, IMU batches and fixes in the order in which they were received.
@@ -332,6 +341,7 @@ class Recording:
                 covariance_enu=message.covariance_enu,
                 valid=message.valid,
                 frame_id=message.frame_id,
+                solution=message.solution,
             )
         return None
 

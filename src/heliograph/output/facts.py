@@ -14,6 +14,7 @@ import numpy as np
 
 from heliograph.data import GraphAccount, StartAccount
 from heliograph.output.blind_spans import BlindSpan
+from heliograph.output.georeference import gnss_facts
 from heliograph.output.level import Level
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
@@ -110,9 +111,10 @@ def final_facts(
 
 def graph_facts(graph: GraphAccount) -> dict[str, Any]:
     """Return what the back-end made of the run, as ``run.json`` has it."""
-    account = asdict(graph)
-    del account["files"]
-    return {"keyframes": account.pop("keyframes"), "moved_m": account.pop("moved"), "loops": account}
+    loops = {name: getattr(graph, name) for name in ("candidates", "accepted", "held", "rejected", "revoked")}
+    gnss = {} if graph.gnss is None else {"gnss": gnss_facts(graph.gnss)}
+    wheels = {} if graph.wheels is None else {"wheels": asdict(graph.wheels)}
+    return {"keyframes": graph.keyframes, "moved_m": graph.moved, "loops": loops, **gnss, **wheels}
 
 
 def _blind(span: BlindSpan) -> dict[str, Any]:

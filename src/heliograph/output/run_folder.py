@@ -34,7 +34,7 @@ _OWN_FORMATS = ("ply", "pcd")  # written without any other package
 _MAPS = ("map.ply", "map.pcd", "map.laz")
 SUBMAPS = "submaps.bin"
 _NO_POINTS = np.zeros((0, 3), dtype=np.float32)
-_GRAPH = ("loops.csv", "graph.g2o", "graph.npz")
+_GRAPH = ("loops.csv", "gnss.csv", "graph.g2o", "graph.npz")
 _KEYFRAMES = "keyframes"
 _OWN = (*FILES, *_MAPS, *_GRAPH, SUBMAPS, "map.png", "map.pgw", "scans.csv", "report.html", "config.toml", "run.json")
 

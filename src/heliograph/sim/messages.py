@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["Messages"]
 
 _DATATYPES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}  # sensor_msgs/PointField
+_SOLUTIONS = {"sbas": 1, "float": 1, "fixed": 2}  # NavSatStatus: no finer states; 0 is a single fix
 _LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line\n"
 _LIVOX_MESSAGE = (
     "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nCustomPoint[] points\n"
@@ -96,7 +97,9 @@ class Messages:
         covariance = np.zeros(9) if fix.covariance_enu is None else fix.covariance_enu.ravel()
         message = self._types["sensor_msgs/msg/NavSatFix"](
             header=self._header(fix.stamp_ns, fix.frame_id),
-            status=self._types["sensor_msgs/msg/NavSatStatus"](status=0 if fix.valid else -1, service=1),
+            status=self._types["sensor_msgs/msg/NavSatStatus"](
+                status=_SOLUTIONS.get(fix.solution, 0) if fix.valid else -1, service=1
+            ),
             latitude=fix.latitude_deg if fix.valid else nan,
             longitude=fix.longitude_deg if fix.valid else nan,
             altitude=fix.altitude if fix.valid else nan,

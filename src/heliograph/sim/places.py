@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.lie import so3
-from heliograph.sim.revisits import campus_course, campus_world, storeys_course, storeys_world
+from heliograph.sim.revisits import campus_course, campus_world, city_course, city_world, storeys_course, storeys_world
 from heliograph.sim.trajectory import Course
 from heliograph.sim.world import Primitive, SimulatedWorld, Surface, box, cylinder, rectangle
 
@@ -260,6 +260,11 @@ def campus(rng: np.random.Generator) -> Place:
     return Place(world=SimulatedWorld(campus_world(rng)), course=campus_course())
 
 
+def city(rng: np.random.Generator) -> Place:
+    """Return a loop of 3 km through streets with houses on both sides, that ends where it began."""
+    return Place(world=SimulatedWorld(city_world(rng)), course=city_course())
+
+
 def storeys(rng: np.random.Generator) -> Place:
     """Return a building of two equal storeys with three equal corridors each."""
     return Place(world=SimulatedWorld(storeys_world(rng)), course=storeys_course())
@@ -326,6 +331,7 @@ PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingP
     {
         "aisles": aisles,
         "campus": campus,
+        "city": city,
         "level_room": level_room,
         "long_tunnel": long_tunnel,
         "bare_field": bare_field,

@@ -1,4 +1,4 @@
-"""Places with revisits, for back-ends: a campus walked in a figure of eight, and a building that repeats itself."""
+"""Places for back-ends: a campus in a figure of eight, a loop in a city, a building that repeats itself."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ __all__ = [
     "STOREYS_PITCH",
     "campus_course",
     "campus_world",
+    "city_course",
+    "city_world",
     "storeys_course",
     "storeys_world",
 ]
@@ -53,6 +55,22 @@ def campus_world(rng: np.random.Generator) -> Iterator[Primitive]:
     for y in (_SOUTH, _NORTH):
         for x in (_WEST, _MIDDLE):
             yield from _street(rng, (x, y), (x + 150.0, y))
+
+
+_CITY = ((0.0, 0.0), (800.0, 0.0), (800.0, 400.0), (400.0, 400.0), (400.0, 700.0), (0.0, 700.0))
+
+
+def city_course() -> Course:
+    """Return a closed way of 3 km with an inner corner, driven once."""
+    x, y, eye = 60.0, 0.0, 1.8
+    return Course(waypoints=np.array([(x, y, eye), *((x, y, eye) for x, y in (*_CITY[1:], _CITY[0]))]), corner=12.0)
+
+
+def city_world(rng: np.random.Generator) -> Iterator[Primitive]:
+    """Yield houses on both sides of the way, poles, trees and parked cars."""
+    yield rectangle((400.0, 350.0, 0.0), (1100.0, 1000.0), _LEVEL, _ASPHALT)
+    for start, end in zip(_CITY, (*_CITY[1:], _CITY[0]), strict=True):
+        yield from _street(rng, start, end)
 
 
 def _street(rng: np.random.Generator, start: tuple[float, float], end: tuple[float, float]) -> Iterator[Primitive]:

@@ -13,8 +13,10 @@ import tomli_w
 from heliograph.config_toml import build
 from heliograph.errors import ConfigError, closest
 from heliograph.sim.places import PLACES
-from heliograph.sim.sensors import GnssModel, ImuModel, LidarModel
+from heliograph.sim.receiver import GnssModel, GnssSpell
+from heliograph.sim.sensors import ImuModel, LidarModel
 from heliograph.sim.trajectory import Gait
+from heliograph.sim.wheels import WheelModel
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -88,7 +90,7 @@ class Scenario:
         Shown to people.
     place : str
         Key of `heliograph.sim.places.PLACES`: the world and the course.
-    walk, gait, mount, lidar, imu, gnss
+    walk, gait, mount, lidar, imu, gnss, wheels
         See their classes.
     point_times : bool
         False drops the per-point times of the records that `simulate` yields (a file's layout decides for itself).
@@ -102,6 +104,7 @@ class Scenario:
     lidar: LidarModel = field(default_factory=LidarModel)
     imu: ImuModel = field(default_factory=ImuModel)
     gnss: GnssModel = field(default_factory=GnssModel)
+    wheels: WheelModel = field(default_factory=WheelModel)
     point_times: bool = True
 
     def __post_init__(self) -> None:
@@ -183,6 +186,7 @@ def _registry() -> dict[str, Scenario]:
             lidar=LidarModel(beams=32, columns=512, elevation_deg=(-30.0, 30.0), max_range=60.0),
             gnss=GnssModel(rate=0.0),
         ),
+        **{scenario.name: scenario for scenario in _surveys()},
         **{scenario.name: scenario for scenario in _weakly_seen()},
         "field": Scenario(name="field", place="open_field").thinned(beams=32, columns=512),
         "bare-field": Scenario(name="bare-field", place="bare_field").thinned(beams=32, columns=512),
@@ -194,6 +198,26 @@ def _registry() -> dict[str, Scenario]:
     }
 
 
+def _surveys() -> Iterator[Scenario]:
+    """Yield recordings whose receiver has good and bad spells, with an antenna that is not at the IMU."""
+    car = Gait(frequency=1.3, bounce=0.01, lateral=0.01, roll_deg=0.6, pitch_deg=0.5, yaw_deg=0.6)
+    sparse = LidarModel(beams=32, columns=512, max_range=90.0)
+    spells = (
+        GnssSpell(kind="outage", duration=60.0),
+        GnssSpell(kind="multipath", duration=20.0, size=15.0),
+        GnssSpell(kind="jump", duration=3.0, size=8.0),
+        GnssSpell(kind="jump", duration=5.0, size=30.0),
+        GnssSpell(kind="frozen", duration=8.0),
+    )
+    single = GnssModel(noise_horizontal=1.0, noise_vertical=2.0, antenna=(-0.4, 0.2, 0.7), spells=spells)
+    fixed = replace(single, solution="fixed", noise_horizontal=0.02, noise_vertical=0.03)
+    for name, place, speed in (("survey-campus", "campus", 2.5), ("city-loop", "city", 8.0)):
+        walk = Walk(speed=speed, rest=3.0, ramp=3.0)
+        gait = car if place == "city" else Gait()
+        yield Scenario(name=name, place=place, walk=walk, gait=gait, lidar=sparse, gnss=single)
+        yield Scenario(name=f"{name}-rtk", place=place, walk=walk, gait=gait, lidar=sparse, gnss=fixed)
+
+
 def _weakly_seen() -> Iterator[Scenario]:
     """Yield recordings of which one direction is not seen at all for a while."""
     car = Gait(frequency=1.3, bounce=0.01, lateral=0.01, roll_deg=0.6, pitch_deg=0.5, yaw_deg=0.6)
@@ -202,6 +226,16 @@ def _weakly_seen() -> Iterator[Scenario]:
     yield Scenario(
         name="long-tunnel", place="long_tunnel", walk=drive, gait=car, lidar=sparse, gnss=GnssModel(rate=0.0)
     )
+    wheels = WheelModel(rate=50.0, scale=1.03, slips=3)
+    yield Scenario(
+        name="tunnel-wheels", place="long_tunnel", walk=drive, gait=car, lidar=sparse, gnss=GnssModel(rate=0.0),
+        wheels=wheels,
+    )  # fmt: skip
+    legs = WheelModel(rate=100.0, scale=1.03, noise=0.05, legs=True)
+    yield Scenario(
+        name="tunnel-legs", place="long_tunnel", walk=Walk(speed=1.5, rest=3.0, ramp=2.0), lidar=sparse,
+        gnss=GnssModel(rate=0.0), wheels=legs,
+    )  # fmt: skip
 
 
 def _moving_starts() -> Iterator[Scenario]:

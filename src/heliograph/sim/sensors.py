@@ -1,4 +1,4 @@
-"""Models of a spinning LiDAR, an IMU and a GNSS receiver: parameters, and how they turn truth into samples."""
+"""Models of a spinning LiDAR and an IMU: parameters, and how they turn truth into samples."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import freeze
 from heliograph.sim.world import Returns
 
-__all__ = ["GnssModel", "ImuErrors", "ImuModel", "LidarModel", "measure_ranges"]
+__all__ = ["ImuErrors", "ImuModel", "LidarModel", "measure_ranges"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,29 +98,6 @@ class ImuModel:
     accel_bias: float = 0.05
     clock_offset: float = 0.0
     clock_drift_ppm: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GnssModel:
-    """A GNSS receiver whose antenna is at the IMU; it has a fix where nothing is above it.
-
-    Parameters
-    ----------
-    rate : float
-        Fixes a second [Hz]; 0 leaves the receiver out.
-    noise_horizontal, noise_vertical : float
-        One-sigma of the position [m].
-    origin_deg : (float, float)
-        Latitude and longitude of the world's origin [deg].
-    origin_height : float
-        Its height above the ellipsoid [m].
-    """
-
-    rate: float = 2.0
-    noise_horizontal: float = 0.5
-    noise_vertical: float = 1.0
-    origin_deg: tuple[float, float] = (52.0, 11.0)
-    origin_height: float = 80.0
 
 
 def measure_ranges(exact: Returns, model: LidarModel, rng: np.random.Generator) -> NDArray[np.float64]:

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from heliograph.arrays import freeze
 from heliograph.data import GnssFix, ImuBatch, ImuClock, ImuNoise, Rig, Scan
 from heliograph.lie import se3, so3
-from heliograph.sim.geodesy import enu_to_geodetic
 from heliograph.sim.places import PLACES
+from heliograph.sim.receiver import ReceiverLog
 from heliograph.sim.scenario import Mount, Scenario
 from heliograph.sim.sensors import ImuErrors, measure_ranges
 from heliograph.sim.trajectory import SimulatedMotion, WalkedPath
+from heliograph.sim.wheels import SpeedLog
 
 __all__ = ["EPOCH_NS", "GRAVITY", "SimulatedMounting", "Simulation", "Sweep", "Truth", "simulate"]
 
@@ -25,6 +26,8 @@ EPOCH_NS = 1_750_000_000_000_000_000  # the recording's first instant; any date 
 GRAVITY = 9.80665
 _LIDAR_PHASE_NS = 13_700_000  # sweeps do not start at IMU samples, as between two free-running sensors
 _GNSS_PHASE_NS = 41_000_000
+_WHEEL_PHASE_NS = 3_000_000
+_STREAMS = ("world", "mount", "lidar", "imu", "gnss", "wheels")  # new ones behind the others: those keep their numbers
 _INTENSITY_SCALE = 255.0
 
 
@@ -168,9 +171,7 @@ class Simulation:
 
     def __init__(self, scenario: Scenario, seed: int, *, threads: int = 1) -> None:
         self.scenario, self.seed, self._threads = scenario, seed, threads
-        self._streams = dict(
-            zip(("world", "mount", "lidar", "imu", "gnss"), np.random.SeedSequence(seed).spawn(5), strict=True)
-        )
+        self._streams = dict(zip(_STREAMS, np.random.SeedSequence(seed).spawn(len(_STREAMS)), strict=True))
         place = PLACES[scenario.place](self._rng("world"))
         walk = scenario.walk
         path = WalkedPath(place.course, scenario.gait, rest=walk.rest, ramp=walk.ramp, speed=walk.speed)
@@ -200,7 +201,12 @@ class Simulation:
     @property
     def rig(self) -> Rig:
         """The true mounting and the true clock."""
-        return Rig(T_imu_lidar=self.mounting.T_imu_lidar, source="simulation", clock=self.clock)
+        return Rig(
+            T_imu_lidar=self.mounting.T_imu_lidar,
+            source="simulation",
+            clock=self.clock,
+            antenna_imu=self.mounting.R_body_imu.T @ np.array(self.scenario.gnss.antenna),
+        )
 
     @property
     def imu_noise(self) -> ImuNoise:
@@ -246,29 +252,34 @@ class Simulation:
             )
 
     def fixes(self) -> Iterator[GnssFix]:
-        """Yield the GNSS fixes; they are invalid where something is above the antenna."""
+        """Yield the GNSS fixes as a recorder gets them; they are invalid where something is above the antenna."""
+        yield from self.receiver().fixes()
+
+    def receiver(self) -> ReceiverLog:
+        """Return all that the receiver measured, with what was wrong with it."""
         gnss, rng = self.scenario.gnss, self._rng("gnss")
-        if gnss.rate <= 0.0:
-            return
-        stamps = EPOCH_NS + np.arange(_GNSS_PHASE_NS, self.duration_ns, round(1e9 / gnss.rate), dtype=np.int64)
-        sigma = np.array([gnss.noise_horizontal, gnss.noise_horizontal, gnss.noise_vertical])
-        p_enu = self.truth.motion(stamps).p_world
+        step = round(1e9 / gnss.rate) if gnss.rate > 0.0 else self.duration_ns + 1
+        stamps = EPOCH_NS + np.arange(_GNSS_PHASE_NS, self.duration_ns, step, dtype=np.int64)
+        stamps = stamps if gnss.rate > 0.0 else stamps[:0]
+        T_imu_body = se3.inverse(se3.from_rotation_translation(self.mounting.R_body_imu, np.zeros(3)))
+        antenna = self.truth.pose(stamps) @ T_imu_body @ np.append(gnss.antenna, 1.0)
         T_world_sky = np.tile(np.eye(4), (len(stamps), 1, 1))
-        T_world_sky[:, :3, 3] = p_enu
+        T_world_sky[:, :3, 3] = antenna[:, :3]
         zenith = np.tile([0.0, 0.0, 1.0], (1, len(stamps), 1))
-        covered = self.world.cast(zenith, T_world_sky, min_range=0.1, max_range=200.0).primitive[0] >= 0
-        origin = np.array([*np.radians(gnss.origin_deg), gnss.origin_height])
-        geodetic = enu_to_geodetic(p_enu + sigma * rng.standard_normal(p_enu.shape), origin)
-        for stamp, (latitude, longitude, height), blocked in zip(stamps, geodetic, covered, strict=True):
-            yield GnssFix(
-                stamp_ns=int(stamp),
-                received_ns=int(stamp),
-                latitude_deg=float(np.degrees(latitude)),
-                longitude_deg=float(np.degrees(longitude)),
-                altitude=float(height),
-                covariance_enu=np.diag(sigma**2),
-                valid=not blocked,
-            )
+        above = self.world.cast(zenith, T_world_sky, min_range=0.1, max_range=200.0).primitive
+        covered = above[0] >= 0 if len(stamps) else np.zeros(0, dtype=bool)
+        return ReceiverLog.draw(gnss, stamps, antenna[:, :3], covered, rng)
+
+    def wheels(self) -> SpeedLog:
+        """Return what wheels or legs measured."""
+        model = self.scenario.wheels
+        step = round(1e9 / model.rate) if model.rate > 0.0 else self.duration_ns + 1
+        stamps = EPOCH_NS + np.arange(_WHEEL_PHASE_NS, self.duration_ns, step, dtype=np.int64)
+        stamps = stamps if model.rate > 0.0 else stamps[:0]
+        motion = self.truth.motion(stamps)
+        R_world_body = motion.R_world_body @ self.mounting.R_body_imu.T
+        v_body = np.einsum("nji,nj->ni", R_world_body, motion.v_world)
+        return SpeedLog.draw(model, stamps, v_body, self._rng("wheels"))
 
     def __iter__(self) -> Iterator[Scan | ImuBatch | GnssFix]:
         """Yield records in the order in which a recorder would have got them."""

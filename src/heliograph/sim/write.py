@@ -33,6 +33,7 @@ _TYPES = {
 _POINTS = "/points"
 _IMU_FRAME = "imu_link"
 _BODY_FRAME = "base_link"
+_ANTENNA_FRAME = "gnss"
 _MAX_QUEUE = 64  # messages that wait to be written: about three sweeps with their IMU samples
 
 
@@ -79,7 +80,8 @@ def write_recording(
     ----------
     out_dir : Path
         Made if absent; afterwards it holds ``recording.mcap``, ``metadata.yaml``, ``groundtruth_imu.tum``,
-        ``groundtruth_lidar.tum`` (world frame, one row an IMU sample) and ``scenario.toml``.
+        ``groundtruth_lidar.tum`` (world frame, one row an IMU sample), ``scenario.toml``, and of a scenario with
+        wheels ``wheels.csv``.
     scenario : Scenario
         What to simulate.
     seed : int
@@ -139,6 +141,8 @@ def _write_files(
         stamps, truth = simulation.imu_stamps_ns, simulation.truth
         _write_tum(aside / "groundtruth_imu.tum", "imu", stamps, truth.pose(stamps))
         _write_tum(aside / "groundtruth_lidar.tum", "lidar", stamps, truth.lidar_pose(stamps))
+        if simulation.scenario.wheels.rate > 0.0:
+            (aside / "wheels.csv").write_text(simulation.wheels().csv(), encoding="utf-8")
         note = f"# seed {simulation.seed}, layout {layout.name}\n"
         (aside / "scenario.toml").write_text(note + to_toml(simulation.scenario), encoding="utf-8")
         for file in sorted(aside.iterdir()):
@@ -215,6 +219,11 @@ def _transforms(simulation: Simulation, layout: SimulatedLayout, messages: Messa
     edges = [
         (_BODY_FRAME, _IMU_FRAME, se3.from_rotation_translation(mounting.R_body_imu, np.zeros(3))),
         (_BODY_FRAME, layout.frame_id, mounting.T_body_lidar),
+        (
+            _BODY_FRAME,
+            _ANTENNA_FRAME,
+            se3.from_rotation_translation(np.eye(3), np.array(simulation.scenario.gnss.antenna)),
+        ),
     ]
     yield EPOCH_NS, 0, "/tf_static", messages.transforms(EPOCH_NS, edges)
 

@@ -16,11 +16,13 @@ from heliograph.data import Event, GraphAccount, Keyframe
 from heliograph.graph import ISAM2, Between, Covariance, FactorGraph, Symbol, Values
 from heliograph.lie import SE3, se3
 from heliograph.slam.covariances import OdometryChain
+from heliograph.slam.gnss import GnssFactors, KeptFixes
 from heliograph.slam.inertial_factors import InertialFactors
 from heliograph.slam.loop_search import Candidate, LoopSearch
 from heliograph.slam.loops import Ledger, LedgerEntry, LoopEvidence, diagonal, finished
 from heliograph.slam.pose_factors import PoseFactors
 from heliograph.slam.store import KeyframeStore
+from heliograph.slam.wheels import WheelFactors
 
 __all__ = ["BackEnd", "GraphUpdate"]
 
@@ -67,13 +69,24 @@ class BackEnd:
         Takes the keyframes; an empty one.
     ledger : Ledger, optional
         That of an earlier session.
+    fixes : GnssFactors, optional
+        Satellite fixes, which hold the map where they are believed; by default none come.
     """
 
-    def __init__(self, config: RunConfig, store: KeyframeStore, *, ledger: Ledger | None = None) -> None:
+    def __init__(
+        self,
+        config: RunConfig,
+        store: KeyframeStore,
+        *,
+        ledger: Ledger | None = None,
+        fixes: GnssFactors | None = None,
+    ) -> None:
         self._config, self.store = config, store
         self._smoother, self._steps = ISAM2(), FactorGraph()
         self.chain = OdometryChain()
         self.ledger = ledger if ledger is not None else Ledger(config.loops)
+        self.fixes = fixes if fixes is not None else GnssFactors(config)
+        self.wheels = WheelFactors(config)
         self._search = LoopSearch(store, self.chain, config.slam, config.places, config.loops)
         self._waiting: deque[int] = deque()  # keyframes at which loops are still to be looked for
         self._query: Generator[None, None, None] | None = None  # the one that is being looked at
@@ -83,13 +96,17 @@ class BackEnd:
         self._in_force: dict[int, int] = {}  # number in the ledger -> number of its factor in the smoother
 
     @classmethod
-    def replayed(cls, config: RunConfig, store: KeyframeStore, ledger: Ledger) -> BackEnd:
-        """Return the back-end of a store that is full, with the loops of its ledger that stand; none are looked for."""
+    def replayed(
+        cls, config: RunConfig, store: KeyframeStore, ledger: Ledger, fixes: KeptFixes | None = None
+    ) -> BackEnd:
+        """Return the back-end of a full store, with the loops of its ledger that stand and the fixes it kept."""
         back_end = cls(config, store, ledger=ledger)
         for keyframe in store:
             back_end.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
             back_end._smoother.update(*back_end._step(keyframe))
         back_end._enforce()
+        if fixes is not None:
+            back_end.fixes.keep(back_end._smoother, fixes)
         return back_end
 
     def compare(self, query: int, match: int) -> LoopEvidence:
@@ -109,12 +126,15 @@ class BackEnd:
         if self._config.slam.loops and self._search.due(keyframe.index):
             self._waiting.append(keyframe.index)
         self._go_on(self._config.slam.loop_pieces)  # (5) to (8)
+        if self.fixes.due():  # later sensors join as factors
+            self._place_on_earth()
         return self._word(keyframe)  # (9)
 
     def finish(self) -> GraphUpdate | None:
-        """Look at all that still waits; None where there is no keyframe."""
+        """Look at all that still waits, and judge the fixes by all of it; None where there is no keyframe."""
         while self._query is not None or self._waiting:
             self._go_on(1)
+        self._place_on_earth()
         return self._word(self._before) if self._before is not None else None
 
     def _go_on(self, pieces: int) -> None:
@@ -144,6 +164,15 @@ class BackEnd:
         if changed:
             self._news.loops += self._enforce()  # (8) smooth with the accepted, take back what the solution contradicts
 
+    def _place_on_earth(self) -> None:
+        """Bring in what the fixes tell, all of them weighed anew."""
+        loops = tuple(
+            (loop.match, loop.query, loop.T_match_query, loop.covariance)
+            for loop in (entry.evidence for entry in self.ledger.accepted())
+        )
+        inertial = isinstance(self._factors, InertialFactors)
+        self.fixes.enforce(self._smoother, self.chain, loops, inertial=inertial)
+
     @property
     def T_map_imu(self) -> Array:
         """Poses of all keyframes in the map, (K, 4, 4)."""
@@ -156,11 +185,16 @@ class BackEnd:
 
     @property
     def moved(self) -> float:
-        """How far loops have moved the keyframe that lies furthest from odometry, seen from the first one [m]."""
-        if not self.closed:
+        """How far the keyframe that lies furthest from odometry was moved, seen from the first one [m]."""
+        if not self.moves:
             return 0.0
         T = self.T_map_imu
         return _furthest(T[0] @ se3.inverse(self.chain.pose(0)) @ self.chain.T_odom_imu, T)
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything but odometry holds the keyframes: a loop, fixes, or wheels."""
+        return self.closed or self.fixes.in_use or self.wheels.in_use
 
     @property
     def closed(self) -> bool:
@@ -172,6 +206,8 @@ class BackEnd:
         whole = self._steps.copy()
         for entry in self.ledger.accepted():
             whole.add(_loop_factor(entry))
+        for group in self.fixes.factors().groups():
+            whole.adopt(group)
         return whole, self._smoother.estimate()
 
     def account(self, files: tuple[str, ...] = ()) -> GraphAccount:
@@ -185,6 +221,8 @@ class BackEnd:
             held=verdicts.count("held"),
             revoked=verdicts.count("revoked"),
             moved=self.moved,
+            gnss=self.fixes.account(self._smoother, self.T_map_imu) if len(self.chain) else None,
+            wheels=self.wheels.account(self._smoother),
             files=files,
         )
 
@@ -196,6 +234,11 @@ class BackEnd:
         else:
             T_map_before = self._smoother.estimate(X(self._before.index)).matrix[:4, :4]
             graph, values = self._factors.step(self._before, keyframe, T_map_before)
+            rolled, scale = self.wheels.step(self._before, keyframe, self._smoother)
+            for added in rolled.groups():
+                graph.adopt(added)
+            for key in scale.keys().tolist():
+                values.insert(key, scale.at(key))
         for added in graph.groups():
             self._steps.adopt(added)
         self._steps.fix(graph.fixed)

@@ -1,4 +1,4 @@
-"""The files of a run's graph: loops.csv, graph.g2o for other tools, and graph.npz, which holds everything."""
+"""The files of a run's graph: loops.csv, gnss.csv, graph.g2o for other tools, and graph.npz, which holds everything."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from heliograph.graph import Between, Covariance, FactorGraph, Values, pose_graph_of, save_graph, write_g2o
 from heliograph.lie import SE3, se3
 from heliograph.slam.back_end import BackEnd
+from heliograph.slam.gnss import write_gnss_table
 from heliograph.slam.loops.ledger_file import write_ledger
 
 __all__ = ["GRAPH_FILES", "write_graph_files"]
@@ -27,7 +28,10 @@ def write_graph_files(folder: Path, back_end: BackEnd) -> tuple[str, ...]:
     write_ledger(folder / "loops.csv", back_end.ledger)
     write_g2o(folder / "graph.g2o", pose_graph_of(*_poses_and_steps(back_end)))
     save_graph(folder / "graph.npz", *back_end.graph())
-    return (*GRAPH_FILES, back_end.store.path.name)
+    account = back_end.account().gnss
+    if account is not None:
+        write_gnss_table(folder / "gnss.csv", account.fixes)
+    return (*GRAPH_FILES, *(("gnss.csv",) if account is not None else ()), back_end.store.path.name)
 
 
 def _poses_and_steps(back_end: BackEnd) -> tuple[FactorGraph, Values]:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import Array
 from heliograph.config import RunConfig
-from heliograph.data import Event, GraphAccount, ImuBatch, Message, ScanResult
+from heliograph.data import Event, GnssFix, GraphAccount, ImuBatch, Message, ScanResult, WheelSpeeds
 from heliograph.slam.back_end import BackEnd
 from heliograph.slam.given_poses import GivenPoses
+from heliograph.slam.gnss import GnssFactors
 from heliograph.slam.graph_files import write_graph_files
 from heliograph.slam.keyframes import KeyframeSelector
 from heliograph.slam.store import KeyframeStore
@@ -26,7 +27,7 @@ _ALL = 10_000  # pieces of a search: where nobody waits, nothing is deferred
 
 
 class MovedKeyframes(NamedTuple):
-    """Keyframes of a run that its loops have moved.
+    """Keyframes of a run that its loops or fixes have moved.
 
     Parameters
     ----------
@@ -53,25 +54,44 @@ class SlamSession:
         Whether the poses are another system's: clouds that come slowly are then its keyframes.
     kept : bool
         Whether the folder stays, and the graph's files are written into it.
+    antenna_imu : (3,) float64, optional
+        The satellite receiver's antenna in the imu frame, where the recording tells it [m].
     """
 
-    def __init__(self, folder: Path, config: RunConfig, *, poses_given: bool = False, kept: bool = True) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        config: RunConfig,
+        *,
+        poses_given: bool = False,
+        kept: bool = True,
+        antenna_imu: Array | None = None,
+    ) -> None:
         config = replace(config, slam=replace(config.slam, loop_every=1, loop_pieces=_ALL)) if poses_given else config
         self.events: list[Event] = []
         self._folder = folder if kept else None
         self._given = GivenPoses(config.loops) if poses_given else None
         self._selector = KeyframeSelector(config.slam, poses_given=poses_given)
         self.store = KeyframeStore.create(folder / KEYFRAMES)
-        self.back_end = BackEnd(config, self.store)
+        self.fixes = GnssFactors(config, antenna_imu)
+        self.back_end = BackEnd(config, self.store, fixes=self.fixes)
 
     def observe(self, message: Message) -> None:
         """Take a message of the recording, before the odometry gets it."""
         if isinstance(message, ImuBatch):
             self._selector.observe(message)
+        elif isinstance(message, GnssFix):
+            self.fixes.observe(message)
+
+    def observe_speeds(self, speeds: WheelSpeeds) -> None:
+        """Take all speeds of wheels or legs, before the recording begins."""
+        self.back_end.wheels.observe(speeds)
 
     def add(self, results: Sequence[ScanResult]) -> None:
         """Take the results that a message made ready."""
         for result in results:
+            if result.matched:
+                self.fixes.track.append(result.end_ns, result.T_odom_imu)
             keyframe = self._selector.add(result)
             if keyframe is None:
                 continue
@@ -84,6 +104,7 @@ class SlamSession:
         self.add(results)
         update = self.back_end.finish()
         self.events += update.events if update is not None else ()
+        self.events += (*self.fixes.events(), *self.back_end.wheels.events())
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -91,8 +112,8 @@ class SlamSession:
         return self._given.doubts if self._given is not None else ()
 
     def moved(self) -> MovedKeyframes | None:
-        """Return where the keyframes lie after all; None where no loop stands, and odometry has the last word."""
-        if not self.back_end.closed or len(self.store) == 0:
+        """Return where the keyframes lie after all; None where nothing but odometry holds them."""
+        if not self.back_end.moves or len(self.store) == 0:
             return None
         return MovedKeyframes(
             stamps_ns=self.back_end.chain.stamps_ns,
@@ -122,6 +143,9 @@ class NoSlam:
         self.doubts = doubts
 
     def observe(self, message: Message) -> None:
+        """Take nothing."""
+
+    def observe_speeds(self, speeds: WheelSpeeds) -> None:
         """Take nothing."""
 
     def add(self, results: Sequence[ScanResult]) -> None:

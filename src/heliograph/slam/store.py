@@ -14,7 +14,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from heliograph.arrays import Array
+from heliograph.arrays import Array, Stamps
 from heliograph.atomic import output_errors
 from heliograph.data import ImuBatch, Keyframe
 from heliograph.errors import DataError, FormatError
@@ -182,6 +182,11 @@ class KeyframeStore:
     def points(self, index: int) -> np.ndarray[Any, np.dtype[np.float32]]:
         """Return a keyframe's points (N, 3) float32, imu frame [m]."""
         return self[index].points_imu
+
+    @property
+    def stamps_ns(self) -> Stamps:
+        """Times of all keyframes, (K,) [ns]."""
+        return np.array([entry.stamp_ns for entry in self._entries], dtype=np.int64)
 
     def T_odom_imu(self, index: int) -> Array:
         """Return a keyframe's pose (4, 4) as the odometry gave it."""

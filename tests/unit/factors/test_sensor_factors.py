@@ -9,6 +9,7 @@ import pytest
 
 from heliograph.errors import GraphError
 from heliograph.factors import (
+    AnchoredPosition,
     CalibrationPrior,
     CombinedImu,
     GravityDirection,
@@ -16,6 +17,7 @@ from heliograph.factors import (
     LeverArmPosition,
     LidarPose,
     PreintegratedImu,
+    ScaledMotion,
     Velocity,
 )
 from heliograph.graph import Isotropic
@@ -179,6 +181,24 @@ def test_lever_arm_position_is_its_twin(rng, extended):
     assert_record(variable, [T, arm], lambda k, T, arm: twin.lever_arm(T, arm, z[k]))
 
 
+@pytest.mark.parametrize("extended", [False, True])
+def test_anchored_position_is_its_twin(rng, extended):
+    T, arm, z, keys = poses(rng, extended), rng.normal(size=(COUNT, 3)), rng.normal(size=(COUNT, 3)), np.arange(COUNT)
+    frame, offset = poses(rng, False), rng.normal(size=(COUNT, 3))
+    known = AnchoredPosition(keys, 10 + keys, z, ONE, offset=offset)
+    assert_record(known, [T, frame], lambda k, T, E: twin.anchored_position(T, E, offset[k], z[k]))
+    variable = AnchoredPosition(keys, 10 + keys, z, ONE, offset=offset, arm_key=20 + keys)
+    assert_record(variable, [T, frame, arm], lambda k, T, E, arm: twin.anchored_position(T, E, offset[k] + arm, z[k]))
+
+
+@pytest.mark.parametrize("extended", [False, True])
+def test_scaled_motion_is_its_twin(rng, extended):
+    T_i, T_j, keys = poses(rng, extended), poses(rng, extended), np.arange(COUNT)
+    arm, d, scale = rng.normal(size=(COUNT, 3)), rng.normal(size=(COUNT, 3)), rng.uniform(0.9, 1.1, (COUNT, 1))
+    factor = ScaledMotion(keys, 10 + keys, 20 + keys, d, ONE, lever_arm=arm)
+    assert_record(factor, [T_i, T_j, scale], lambda k, i, j, s: twin.scaled_motion(i, j, s, arm[k], d[k]))
+
+
 def test_velocity_is_its_twin(rng):
     z = rng.normal(size=(COUNT, 3))
     assert_record(Velocity(np.arange(COUNT), z, ONE), [poses(rng)], lambda k, X: X[:3, 4] - z[k])
@@ -264,6 +284,8 @@ def digest():
     z = rng.normal(size=(COUNT, 3))
     parts.append(LeverArmPosition(keys, z, ONE, arm_key=10 + keys).evaluate(X_i, rng.normal(size=(COUNT, 3))))
     parts.append(Velocity(keys, z, ONE).evaluate(X_i))
+    parts.append(AnchoredPosition(keys, 10 + keys, z, ONE).evaluate(X_i, poses(rng, False)))
+    parts.append(ScaledMotion(keys, 10 + keys, 20 + keys, z, ONE).evaluate(X_i, X_j, np.ones((COUNT, 1))))
     E, clock = SE3.exp(0.5 * rng.normal(size=(COUNT, 6))), rng.normal(size=(COUNT, 2))
     sweep = LidarPose(keys, 10 + keys, 20 + keys, poses(rng, False), z, np.ones(COUNT), ONE)
     parts.append(sweep.evaluate(X_i, E, clock))

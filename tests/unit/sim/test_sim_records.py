@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from heliograph.data import GnssFix, ImuBatch, Scan
+from heliograph.geodesy import ecef_to_geodetic, enu_to_geodetic, geodetic_to_ecef
 from heliograph.lie import so3
 from heliograph.sim import SCENARIOS, simulate
-from heliograph.sim.geodesy import ecef_to_geodetic, enu_to_geodetic, geodetic_to_ecef
 from heliograph.sim.sensors import LidarModel
 from heliograph.sim.simulate import EPOCH_NS, GRAVITY
 

@@ -198,6 +198,13 @@ def _decode_imu(topic: str, received_ns: int, payload: memoryview, encoding: str
     ]
 
 
+_SOLUTIONS = {
+    0: "single",
+    1: "sbas",
+    2: "fixed",
+}  # NavSatStatus; receivers with a carrier-phase fix report ground-based
+
+
 def _decode_fix(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
     """``sensor_msgs/NavSatFix``."""
     cursor = _Cursor(payload, encoding)
@@ -218,6 +225,7 @@ def _decode_fix(topic: str, received_ns: int, payload: memoryview, encoding: str
             altitude=float(values[2]),
             covariance_enu=covariance,
             valid=status >= 0 and bool(np.isfinite(values[:3]).all()),
+            solution=_SOLUTIONS.get(status, ""),
         )
     ]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ecef_to_geodetic", "enu_to_geodetic", "geodetic_to_ecef"]
+__all__ = ["ecef_to_geodetic", "enu_to_geodetic", "geodetic_to_ecef", "geodetic_to_enu"]
 
 _A = 6378137.0  # semi-major axis [m]
 _F = 1.0 / 298.257223563  # flattening
@@ -54,15 +54,24 @@ def enu_to_geodetic(p_enu: NDArray[np.float64], origin: NDArray[np.float64]) -> 
     (N, 3) float64
         Latitude [rad], longitude [rad], height [m].
     """
+    return ecef_to_geodetic(geodetic_to_ecef(origin) + p_enu @ _axes(origin).T)
+
+
+def geodetic_to_enu(geodetic: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Invert `enu_to_geodetic`: coordinates (N, 3) to positions (N, 3) in the tangent frame at ``origin``."""
+    return np.asarray((geodetic_to_ecef(geodetic) - geodetic_to_ecef(origin)) @ _axes(origin))
+
+
+def _axes(origin: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``R_ecef_enu`` (3, 3) at (latitude, longitude, height)."""
     sin_lat, cos_lat, sin_lon, cos_lon = *_sin_cos(origin[0]), *_sin_cos(origin[1])
-    R_ecef_enu = np.array(
+    return np.array(
         [
             [-sin_lon, -sin_lat * cos_lon, cos_lat * cos_lon],
             [cos_lon, -sin_lat * sin_lon, cos_lat * sin_lon],
             [0.0, cos_lat, sin_lat],
         ]
     )
-    return ecef_to_geodetic(geodetic_to_ecef(origin) + p_enu @ R_ecef_enu.T)
 
 
 def _sin_cos(angle: float) -> tuple[float, float]:

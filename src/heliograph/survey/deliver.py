@@ -1,0 +1,144 @@
+"""The files of a survey, from a run's folder: map, tracks, and how accurate they are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.arrays import Array, Stamps
+from heliograph.atomic import write_text
+from heliograph.errors import DataError, FormatError
+from heliograph.io.files.clouds import read_cloud
+from heliograph.io.files.poses import read_poses
+from heliograph.survey.coordinates import CoordinateSystem, find_coordinate_system
+from heliograph.survey.las import write_survey_las
+from heliograph.survey.placed_run import PlacedRun
+from heliograph.survey.tracks import SurveyTrack, write_csv_track, write_gpx_track, write_kml_track
+
+__all__ = ["accuracy", "deliver"]
+
+_CELL = 2.0  # points in a cube of this edge share a time [m]
+_BLOCK = 2048  # cubes compared with the keyframes at once
+
+
+def deliver(run: PlacedRun, crs: str, control: dict[str, Any] | None = None) -> list[Path]:
+    """Write ``map_<crs>.laz``, ``trajectory_<crs>.csv``, GPX, KML and ``accuracy.json`` into the run's folder.
+
+    Parameters
+    ----------
+    run : PlacedRun
+    crs : str
+        As `find_coordinate_system` takes it.
+    control : mapping, optional
+        What the account of accuracy says of control points.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    DataError
+        The run is not placed on Earth, and the system is not ``local``.
+    ConfigError
+        The system is not known, or cannot be used.
+    """
+    if run.origin_deg is None and crs.lower() != "local":
+        why = run.facts["graph"].get("gnss", {}).get("reason") or "there were no satellite fixes"
+        raise DataError(
+            f"the run is not placed on Earth ({why}): --crs {crs} cannot be; give control points, or --crs local"
+        )
+    origin_deg = np.zeros(3) if run.origin_deg is None else run.origin_deg
+    system = find_coordinate_system(crs, origin_deg)
+    track, folder = _track(run), run.folder
+    files = [folder / f"map_{system.tag}.laz", folder / f"trajectory_{system.tag}.csv"]
+    points, intensity = _map(run)
+    p = system.from_enu(points @ run.T_enu_map[:3, :3].T + run.T_enu_map[:3, 3])
+    write_survey_las(files[0], p, intensity, _times(points, run), system, f"Heliograph {run.folder.name}")
+    write_csv_track(files[1], track, system)
+    if run.origin_deg is not None:
+        files += [folder / "trajectory.gpx", folder / "trajectory.kml"]
+        write_gpx_track(files[2], track, system.origin)
+        write_kml_track(files[3], track, system.origin)
+    files.append(folder / "accuracy.json")
+    write_text(files[-1], json.dumps(accuracy(run, system, track, control), indent=2) + "\n")
+    return files
+
+
+def accuracy(
+    run: PlacedRun, system: CoordinateSystem, track: SurveyTrack, control: dict[str, Any] | None
+) -> dict[str, Any]:
+    """Return how accurate the survey is, per axis, and how that was obtained."""
+    gnss = run.facts["graph"].get("gnss", {})
+    absolute = None
+    if run.origin_deg is not None:
+        absolute = {
+            "sigma_east_north_up_m": np.sqrt((track.sigma**2).mean(axis=0)).tolist(),
+            "worst_sigma_m": float(track.sigma.max()),
+            "sigma_heading_deg": float(np.degrees(track.sigma_heading).max()),
+            "residual_rms_enu_m": gnss.get("residual_rms_enu_m"),
+            "how": "marginals of the solved graph: odometry, loops, satellite fixes, control points; root mean square "
+            "over the trajectory. Errors that all fixes share (the reference station, the datum) are not in them.",
+        }
+    return {
+        "coordinate_system": system.name,
+        "heights_above": system.height,
+        "absolute": absolute,
+        "relative": {
+            "sigma_start_to_end_m": _relative(run),
+            "how": "position of the last keyframe against the first one, of the same graph",
+        },
+        "control_points": control,
+        "status": run.facts.get("status"),
+    }
+
+
+def _relative(run: PlacedRun) -> list[float]:
+    from heliograph.graph import Marginals, Symbol
+
+    P = Marginals(run.graph, run.values).covariance(int(Symbol("X")(len(run.stamps_ns) - 1)))[3:6, 3:6]
+    R = run.T_map_imu[-1, :3, :3]
+    return np.sqrt(np.diag(R @ P @ R.T)).tolist()  # type: ignore[no-any-return]
+
+
+def _track(run: PlacedRun) -> SurveyTrack:
+    """Return the run's trajectory in east-north-up; sigmas are those of the keyframes, between them interpolated."""
+    trajectory = read_poses(run.folder / "trajectory.tum", stamped=True)
+    position, heading = run.sigmas()
+    at = [np.interp(trajectory.stamps_ns, run.stamps_ns, column) for column in (*position.T, heading)]
+    return SurveyTrack(
+        stamps_ns=trajectory.stamps_ns,
+        T_enu_body=run.T_enu_map @ trajectory.T_frame_body,
+        sigma=np.stack(at[:3], axis=-1),
+        sigma_heading=at[3],
+    )
+
+
+def _map(run: PlacedRun) -> tuple[Array, NDArray[np.float32] | None]:
+    for name in ("map.ply", "map.pcd"):
+        if (run.folder / name).is_file():
+            cloud = read_cloud(run.folder / name)
+            return cloud.points.astype(np.float64), cloud.intensity
+    raise FormatError(
+        run.folder, "holds no map.ply or map.pcd; run again without --map-format laz (--crs writes LAZ too)"
+    )
+
+
+def _times(points: Array, run: PlacedRun) -> Stamps:
+    """Return when the sensor was nearest to each point (N,), to the next keyframe; points of a cube share it."""
+    cells = np.floor(points / _CELL).astype(np.int64)
+    low, size = cells.min(axis=0), np.ptp(cells, axis=0) + 1
+    code = ((cells[:, 0] - low[0]) * size[1] + cells[:, 1] - low[1]) * size[2] + cells[:, 2] - low[2]
+    _, first, cube = np.unique(code, return_index=True, return_inverse=True)
+    centres, keyframes = points[first], run.T_map_imu[:, :3, 3]
+    nearest = np.empty(len(centres), dtype=np.int64)
+    for start in range(0, len(centres), _BLOCK):
+        part = centres[start : start + _BLOCK]
+        square = (part**2).sum(axis=1)[:, None] - 2.0 * part @ keyframes.T + (keyframes**2).sum(axis=1)
+        nearest[start : start + _BLOCK] = np.argmin(square, axis=1)
+    return np.asarray(run.stamps_ns[nearest[cube.ravel()]])
