@@ -22,6 +22,7 @@ from benchmarks import (
     kitti,
     lio,
     loops,
+    match_scores,
     outliers,
     registration,
     sigmas,
@@ -48,6 +49,7 @@ _ALL = (
     *_CLOUDS,
     "loops",
     "sigmas",
+    "match-scores",
 )
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio")
 _RUNS = {
@@ -61,6 +63,7 @@ _RUNS = {
     "graph-outliers": 2,
     "loops": 3,
     "sigmas": 20,
+    "match-scores": 2,
 }
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
@@ -157,6 +160,9 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
     if "sigmas" in wanted:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["sigmas"]))
         _write("sigmas", list(sigmas.measure_sigmas(arguments.scenarios, seeds=seeds)))
+    if "match-scores" in wanted:
+        seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["match-scores"]))
+        _write("match_scores", list(match_scores.measure_scores(list(match_scores.SCORE_SCENARIOS), seeds=seeds)))
     if "loops" in wanted:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["loops"]))
         _write("loops", loops.measure_loops(arguments.data.parent / "keyframes", seeds=seeds))
