@@ -322,6 +322,7 @@ class Account:
             tally.statuses,
             sensors=sensors,
             held=tally.held,
+            against_imu=tally.against_imu,
             interrupted=self.interrupted,
             blind=blind,
             budget=config.check.max_blind_growth,

@@ -124,6 +124,7 @@ def judge(
     *,
     sensors: Iterable[str],
     held: int = 0,
+    against_imu: int = 0,
     interrupted: bool = False,
     blind: Iterable[BlindSpan] = (),
     budget: float = 0.0,
@@ -139,6 +140,8 @@ def judge(
         Sensors that the estimate rests on.
     held : int
         Scans that no IMU sample reached to the end of.
+    against_imu : int
+        Scans whose match moved the pose otherwise than the IMU allows.
     interrupted : bool
         Whether the run ended early; a reason, not a verdict on the part that was done.
     blind : iterable of BlindSpan
@@ -176,6 +179,11 @@ def judge(
             f"the IMU did not cover the end of {held / total:.0%} of the scans: check its clock and its gaps"
         )
     degraded += doubts
+    if against_imu / total >= DEGRADED_SHARE:
+        degraded.append(
+            f"the IMU contradicts the match of {against_imu / total:.0%} of the scans: `heliograph check` tells "
+            f"whether it is the IMU, else places that look alike were taken for one another"
+        )
     status = "lost" if lost else "degraded" if degraded else "ok"
     early = ("interrupted: the result covers the part that was read",) if interrupted else ()
     return status, (*lost, *degraded, *early)
@@ -210,6 +218,7 @@ class Tally:
         self.scans = 0
         self.statuses: dict[str, int] = {}
         self.held = 0
+        self.against_imu = 0
         self.stage_totals: dict[str, float] = {}
         self.distance = 0.0
         self.weakest = (float("nan"), np.zeros(3), -1)
@@ -239,6 +248,7 @@ class Tally:
             self.weakest = (float(result.eigenvalues_translation[0]), result.weak_direction.copy(), result.index)
         self.blind.add(result)
         self.held += any(event.code == "imu-held" for event in result.events)
+        self.against_imu += any(event.code == "match-against-imu" for event in result.events)
         self.add_events(result.events)
 
     def gap(self, final: FinalPoses) -> float:

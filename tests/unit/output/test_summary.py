@@ -39,6 +39,12 @@ def test_judge_interruption_is_a_reason_but_no_verdict():
     assert judge({"tracked": 9}, sensors=("lidar",), interrupted=True)[0] == "ok"
 
 
+def test_judge_counts_the_scans_whose_match_the_imu_contradicts():
+    assert judge({"tracked": 100}, sensors=("lidar", "imu"), against_imu=9)[0] == "ok"
+    verdict, reasons = judge({"tracked": 100}, sensors=("lidar", "imu"), against_imu=10)
+    assert verdict == "degraded" and "contradicts the match of 10%" in reasons[0]
+
+
 def test_judge_calls_a_run_degraded_whose_imu_did_not_cover_the_scans():
     assert judge({"tracked": 100}, sensors=("lidar", "imu"), held=19)[0] == "ok"
     verdict, reasons = judge({"tracked": 100}, sensors=("lidar", "imu"), held=20)
