@@ -21,6 +21,7 @@ from benchmarks import (
     kd_tree,
     kitti,
     lio,
+    loam,
     loops,
     match_scores,
     outliers,
@@ -35,7 +36,8 @@ from benchmarks.rivals import ADAPTERS
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
 _GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale", "graph-outliers")
-_CLOUDS = ("registration", "global", "blind", "kd-tree")
+_LOAM = ("walk", "shake", "warehouse", "kitti_0005")
+_CLOUDS = ("registration", "global", "blind", "kd-tree", "loam")
 _ALL = (
     "kitti",
     "sharpness",
@@ -138,7 +140,7 @@ def _graphs(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
 
 
 def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
-    """Run the benchmarks of registration, degeneracy, sigmas, the k-d tree and loops."""
+    """Run the benchmarks of registration, degeneracy, sigmas, the k-d tree, LOAM and loops."""
     rival, work = arguments.rival_bin / "python", arguments.work / "clouds"
 
     def python_of(system: str) -> Path:
@@ -163,6 +165,10 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
     if "match-scores" in wanted:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["match-scores"]))
         _write("match_scores", list(match_scores.measure_scores(list(match_scores.SCORE_SCENARIOS), seeds=seeds)))
+    if "loam" in wanted:
+        data = arguments.data if arguments.data.exists() else None
+        rows = loam.compare_loam(_LOAM, data, work / "loam", rival)
+        _write("loam", [*rows, *loam.sweep_loam(_LOAM[:2], None)])
     if "loops" in wanted:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["loops"]))
         _write("loops", loops.measure_loops(arguments.data.parent / "keyframes", seeds=seeds))

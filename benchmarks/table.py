@@ -15,6 +15,7 @@ from benchmarks.graph_table import graph_section, graph_summary, scale_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.kd_tree import kd_tree_section
+from benchmarks.loam import loam_section
 from benchmarks.loops import loops_section
 from benchmarks.match_scores import scores_section
 from benchmarks.outliers import outliers_section
@@ -35,6 +36,7 @@ _OTHER_SECTIONS = {
     "imu": preintegration_section,
     "imu_gnss": gnss_section,
     "lio": lio_section,
+    "loam": loam_section,
     "calibrate": calibration_section,
     "registration": registration_section,
     "global_alignment": global_section,

@@ -85,7 +85,7 @@ STOREYS: dict[str, dict[str, set[str]]] = {
         "registry": {"raw"},
         "files": {"raw"},
         "packets": {"raw", "registry"},
-        "bags": {"raw", "registry"},
+        "bags": {"raw", "registry", "inference"},
         "inference": {"raw", "files"},
         "recording": {"raw", "tally", "registry", "inference", "bags"},
         "info": {"raw", "tally", "inference", "recording"},
@@ -93,11 +93,13 @@ STOREYS: dict[str, dict[str, set[str]]] = {
     "odometry": {
         "sequencer": set(),
         "protocol": set(),
+        "live": {"protocol"},
         "pose_result": set(),
         "poses_of_file": {"pose_result", "protocol"},
         "filter": {"sequencer"},
         "follow": {"filter"},
-        "registry": {"protocol", "filter"},
+        "loam": {"filter"},
+        "registry": {"protocol", "filter", "loam"},
     },
     "slam": {
         "covariances": set(),

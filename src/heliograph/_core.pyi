@@ -10,6 +10,8 @@ from types import ModuleType
 
 testing: ModuleType  # evaluate_factors, retract_values
 
+def instruction_set() -> str: ...
+
 class SurfaceCloud:
     def __init__(
         self,
@@ -117,6 +119,84 @@ def range_gate(
     min_range: float,
     max_range: float,
 ) -> NDArray[numpy.int32]: ...
+def scan_lines(
+    points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    offsets_ns: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    rows: Annotated[NDArray[numpy.uint16], dict(shape=(None,), order="C", device="cpu", writable=False)],
+) -> tuple[Any, ...]: ...
+def elevation_rows(
+    points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    row_height: float,
+) -> tuple[Any, ...]: ...
+def step_angle(
+    points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    stride: int,
+) -> float: ...
+def scan_features(
+    points: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+    order: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    starts: Annotated[NDArray[numpy.int32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+    window: int,
+    region: int,
+    edge_curvature: float,
+    plane_curvature: float,
+    noise: float,
+    edges: int,
+    planes: int,
+    map_edges: int,
+    map_stride: int,
+    gap: float,
+    grazing: float,
+    threads: int,
+) -> tuple[Any, ...]: ...
+
+class FeatureMatches:
+    def __len__(self) -> int: ...
+    def table(self) -> NDArray[numpy.float64]: ...
+    def sum(
+        self,
+        points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        share: Annotated[NDArray[numpy.float32], dict(shape=(None,), order="C", device="cpu", writable=False)],
+        T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+        gate: float,
+        kernel: float,
+        sigma: float,
+        threads: int,
+    ) -> tuple[Any, ...]: ...
+
+class FeatureMap:
+    def __init__(
+        self,
+        edges: bool,
+        voxel: float,
+        max_points: int,
+        neighbours: int,
+        reach: float,
+        max_thickness: float,
+        min_spread: float,
+    ) -> None: ...
+    def insert(
+        self,
+        points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+    ) -> float: ...
+    def prune(
+        self,
+        centre: Annotated[NDArray[numpy.float64], dict(shape=(3), order="C", device="cpu", writable=False)],
+        radius: float,
+        max_cells: int,
+    ) -> None: ...
+    def clear(self) -> None: ...
+    def match(
+        self,
+        points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
+        T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+        sigma: float,
+        threads: int,
+    ) -> FeatureMatches: ...
+    def cells(self) -> NDArray[numpy.float64]: ...
+    def __len__(self) -> int: ...
+    def bytes(self) -> int: ...
 
 class GraphProblem:
     def __init__(

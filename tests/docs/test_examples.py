@@ -158,3 +158,31 @@ def test_align_clouds_names_the_corridor_blind():
     assert "room: converged" in text and "corridor: degenerate" in text
     (x,) = _numbers(r"not observable: translation along \(([-+.\d]+),", text)
     assert abs(x) > 0.98
+
+
+def test_ros2_node_runs_on_a_recorded_stream_without_ros(short_recording, monkeypatch):
+    """The messages are those that rosbags makes of the file: the fields that rclpy's have too."""
+    from mcap.reader import make_reader
+    from rosbags.typesys import Stores, get_typestore
+
+    monkeypatch.syspath_prepend(EXAMPLES)
+    from heliograph.io import open_recording
+    from ros2_node import Bridge
+
+    with open_recording(short_recording) as recording:
+        rig = recording.rig
+    store, results, states = get_typestore(Stores.ROS2_HUMBLE), [], []
+    bridge = Bridge(rig, results.append, max_waiting=99)
+    with bridge.live, (short_recording / "recording.mcap").open("rb") as file:
+        for schema, _, message in make_reader(file).iter_messages():
+            if schema.name.endswith(("/PointCloud2", "/Imu")):
+                name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
+                found = store.deserialize_cdr(message.data, name)
+                if schema.name.endswith("/Imu"):
+                    states.append(bridge.on_imu(found))
+                else:
+                    bridge.on_points(found)
+    statuses = [result.status for result in results]
+    assert len(statuses) >= 38
+    assert set(statuses[1:]) == {"tracked"}
+    assert bridge.live.pose().stamp_ns >= results[-1].end_ns

@@ -25,6 +25,15 @@ def test_filter_obeys_the_law_of_odometries(simulation, sensors):
     assert_odometry(lambda: make_odometry(RunConfig(), simulation.rig, names, 1), messages)
 
 
+@pytest.mark.parametrize("sensors", ["lidar,imu", "lidar", "imu"])
+def test_loam_obeys_the_law_of_odometries(sensors):
+    simulation = simulate(SCENARIOS["room"].thinned(beams=16, columns=256, duration=2.5), seed=1)
+    names = frozenset(sensors.split(","))
+    kinds = {"lidar": Scan, "imu": ImuBatch}
+    messages = [m for m in simulation if isinstance(m, tuple(kinds[name] for name in names))]
+    assert_odometry(lambda: make_odometry(RunConfig(odometry="loam"), simulation.rig, names, 1), messages)
+
+
 class Standing(Odometry):
     """Stands still, and says so scan by scan."""
 

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from heliograph import _core
 from heliograph.cli import align, calibrate, check, demo, evaluate, info, lab, loops, run, simulate, solve, survey
 from heliograph.cli.options import PluggableCommand
 from heliograph.errors import HeliographError
@@ -71,6 +72,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if not arguments:
         arguments = ["--help"]
+    try:
+        _core.instruction_set()
+    except ValueError as error:  # HELIOGRAPH_ISA names a path that is not there
+        return _fail(str(error))
     try:
         code = app(arguments, standalone_mode=False)
         sys.stdout.flush()

@@ -4,6 +4,7 @@ from heliograph.config.calibration import CalibrationConfig
 from heliograph.config.checks import CheckConfig
 from heliograph.config.files import InputConfig, OutputConfig
 from heliograph.config.gnss import GnssConfig
+from heliograph.config.loam import FeatureConfig, LoamConfig
 from heliograph.config.loops import LoopConfig, PlacesConfig
 from heliograph.config.odometry import CloudConfig, FilterConfig, ImuConfig, MapConfig
 from heliograph.config.registration import AlignConfig, GlobalAlignConfig, KdTreeMapConfig
@@ -16,12 +17,14 @@ __all__ = [
     "CalibrationConfig",
     "CheckConfig",
     "CloudConfig",
+    "FeatureConfig",
     "FilterConfig",
     "GlobalAlignConfig",
     "GnssConfig",
     "ImuConfig",
     "InputConfig",
     "KdTreeMapConfig",
+    "LoamConfig",
     "LoopConfig",
     "MapConfig",
     "OutputConfig",

@@ -8,6 +8,7 @@ from heliograph.config.calibration import CalibrationConfig
 from heliograph.config.checks import CheckConfig
 from heliograph.config.files import InputConfig, OutputConfig
 from heliograph.config.gnss import GnssConfig
+from heliograph.config.loam import LoamConfig
 from heliograph.config.loops import LoopConfig, PlacesConfig
 from heliograph.config.odometry import CloudConfig, FilterConfig, ImuConfig, MapConfig
 from heliograph.config.slam import SlamConfig
@@ -24,8 +25,8 @@ class RunConfig:
     Parameters
     ----------
     odometry : str
-        ``"filter"``, a name that was registered, or ``"module:factory"`` of one's own, which is imported; see
-        docs/howto/plug_in.md.
+        ``"filter"``, ``"loam"``, a name that was registered, or ``"module:factory"`` of one's own, which is imported;
+        see docs/howto/plug_in.md.
     sensors : str
         ``"auto"`` (what the recording holds), ``"lidar,imu"``, ``"lidar"`` or ``"imu"``.
     threads : int
@@ -40,6 +41,7 @@ class RunConfig:
     cloud: CloudConfig = field(default_factory=CloudConfig)
     map: MapConfig = field(default_factory=MapConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
+    loam: LoamConfig = field(default_factory=LoamConfig)
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     slam: SlamConfig = field(default_factory=SlamConfig)
     places: PlacesConfig = field(default_factory=PlacesConfig)

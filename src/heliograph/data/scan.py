@@ -64,6 +64,16 @@ class Scan:
     def __len__(self) -> int:
         return len(self.points)
 
+    def taken(self, keep: NDArray[np.int32]) -> Scan:
+        """Return the scan with the points of the indices ``keep`` (M,) only; its times stay."""
+        return replace(
+            self,
+            points=self.points[keep],
+            offsets_ns=self.offsets_ns[keep],
+            intensity=self.intensity[keep] if self.intensity is not None else None,
+            ring=self.ring[keep] if self.ring is not None else None,
+        )
+
     def thinned(self, step: int) -> Scan:
         """Return the scan with every ``step``-th of its points, without intensity and rings; its times stay."""
         return replace(

@@ -1,6 +1,7 @@
 """Recordings in, results out: readers, what they infer about the data, and writers."""
 
 from heliograph.data import Source
+from heliograph.io.bags.live import LiveScans, cloud_of_array, cloud_of_message, sample_of_message
 from heliograph.io.files.clouds import read_cloud, write_cloud
 from heliograph.io.files.extrinsic import read_extrinsic, write_extrinsic
 from heliograph.io.files.tum import read_tum, write_tum
@@ -14,9 +15,12 @@ __all__ = [
     "OPENERS",
     "Inference",
     "InfoReport",
+    "LiveScans",
     "Opener",
     "Recording",
     "Source",
+    "cloud_of_array",
+    "cloud_of_message",
     "inspect_recording",
     "open_recording",
     "prefetch",
@@ -25,6 +29,7 @@ __all__ = [
     "read_tum",
     "reader_names",
     "register_reader",
+    "sample_of_message",
     "write_cloud",
     "write_extrinsic",
     "write_tum",

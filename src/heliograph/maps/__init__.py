@@ -1,5 +1,6 @@
 """Local and global maps."""
 
+from heliograph.maps.feature_map import FeatureMap, FeaturePoints
 from heliograph.maps.global_map import GlobalMap, MapCells
 from heliograph.maps.kd_tree import KdTreeMap
 from heliograph.maps.protocol import NEIGHBOURS, LocalMap, PlaneMatches, WindowedMap
@@ -8,6 +9,8 @@ from heliograph.maps.voxel_map import VoxelMap
 
 __all__ = [
     "NEIGHBOURS",
+    "FeatureMap",
+    "FeaturePoints",
     "GlobalMap",
     "KdTreeMap",
     "LocalMap",

@@ -1,6 +1,8 @@
 """Odometry: from scans and inertial samples to poses."""
 
 from heliograph.odometry.filter.odometry import FilterOdometry
+from heliograph.odometry.live import ImuRatePose, LiveOdometry
+from heliograph.odometry.loam.odometry import LoamOdometry
 from heliograph.odometry.pose_result import pose_result
 from heliograph.odometry.poses_of_file import PoseFileOdometry
 from heliograph.odometry.protocol import Odometry
@@ -16,6 +18,9 @@ from heliograph.odometry.registry import (
 __all__ = [
     "ODOMETRIES",
     "FilterOdometry",
+    "ImuRatePose",
+    "LiveOdometry",
+    "LoamOdometry",
     "Odometry",
     "OdometryFactory",
     "PoseFileOdometry",

@@ -8,6 +8,7 @@ from heliograph.config import RunConfig
 from heliograph.data import Rig
 from heliograph.errors import ConfigError
 from heliograph.odometry.filter.odometry import FilterOdometry
+from heliograph.odometry.loam.odometry import LoamOdometry
 from heliograph.odometry.protocol import Odometry
 from heliograph.plugins import call_plugin, check_plugin, find_plugin, plugin_names
 
@@ -23,7 +24,11 @@ def _filter(config: RunConfig, rig: Rig, sensors: frozenset[str], threads: int) 
     return FilterOdometry(config, rig, sensors=sensors, threads=threads)
 
 
-ODOMETRIES: dict[str, OdometryFactory | str] = {"filter": _filter}
+def _loam(config: RunConfig, rig: Rig, sensors: frozenset[str], threads: int) -> Odometry:
+    return LoamOdometry(config, rig, sensors=sensors, threads=threads)
+
+
+ODOMETRIES: dict[str, OdometryFactory | str] = {"filter": _filter, "loam": _loam}
 """Name -> factory, or ``"module:name"`` of one; `register_odometry` adds to it. Packages add theirs as entry points of
 the group ``heliograph.odometry``."""
 

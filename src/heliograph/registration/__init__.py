@@ -9,6 +9,7 @@ from heliograph.registration.blind_directions import (
     analyse_planes,
 )
 from heliograph.registration.degeneracy import Observability, observability
+from heliograph.registration.features import FeatureNoise, FeatureRegistration, register_features
 from heliograph.registration.linearize import (
     BLOCKS,
     MapMounting,
@@ -25,6 +26,8 @@ __all__ = [
     "BLOCKS",
     "AlignResult",
     "DirectionInformation",
+    "FeatureNoise",
+    "FeatureRegistration",
     "InformationAnalysis",
     "MapMounting",
     "MatchSettings",
@@ -42,6 +45,7 @@ __all__ = [
     "linearize",
     "observability",
     "prepare_cloud",
+    "register_features",
     "remapped_step",
     "soft_step",
     "true_share",

@@ -1,6 +1,7 @@
 """The contract of the command line, on a recording small enough to run many times."""
 
 import json
+import os
 import resource
 import signal
 import subprocess
@@ -286,3 +287,13 @@ def test_help_imports_nothing_heavy():
     code = "import sys, heliograph.cli.main as m; m.main(['--help']); print(*sorted(sys.modules), file=sys.stderr)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stderr.split()
     assert not {"numpy", "rosbags", "matplotlib", "heliograph._core"} & set(loaded)
+
+
+@pytest.mark.parametrize("isa", ["avx512", "sse9"])
+def test_an_instruction_set_that_is_not_there_is_named(isa):
+    environment = {**os.environ, "HELIOGRAPH_ISA": isa}
+    command = [sys.executable, "-c", "import sys; from heliograph.cli.main import main; sys.exit(main(['--version']))"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert f"HELIOGRAPH_ISA is '{isa}'; there are baseline and avx2" in done.stderr

@@ -60,19 +60,14 @@ class FilterCore:
         self.state = start
         self._motion, self._config, self._threads = motion, config, threads
         self._calibration = calibration_of(start, config.filter)
-        self._keeper = MapKeeper(
-            local_map if local_map is not None else VoxelMap(config.map), config.filter, config.map, start.p_odom
-        )
+        self.map: LocalMap = local_map if local_map is not None else VoxelMap(config.map)
+        """What scans are matched to."""
+        self._keeper = MapKeeper(self.map, config.filter, config.map, start.p_odom)
         self._matcher = ScanMatcher(config, threads=threads)
         self._deskews = config.cloud.deskew != "off"
         self._history: ImuPath | None = None
         self._sweep_noise: Array | None = None
         self._count = 0
-
-    @property
-    def map(self) -> LocalMap:
-        """What scans are matched to."""
-        return self._keeper.map
 
     @property
     def noise(self) -> AdaptiveNoise:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Generic, Protocol, TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,23 +12,47 @@ from heliograph.config import FilterConfig, MapConfig
 from heliograph.data import NavState
 from heliograph.data.error_layout import POSE_DIM
 from heliograph.imu import ErrorGrowth
-from heliograph.maps import LocalMap, WindowedMap
+from heliograph.maps import WindowedMap
 from heliograph.odometry.filter.drift import MapDrift
 from heliograph.odometry.filter.map_window import MapWindow
 from heliograph.registration import TrueShare
 
-__all__ = ["MapKeeper"]
+__all__ = ["GrowingMap", "MapKeeper"]
+
+P_contra = TypeVar("P_contra", contravariant=True)
+P = TypeVar("P")
+"""Kind of points that a map takes."""
+
+
+class GrowingMap(Protocol[P_contra]):
+    """What is asked of a map here: the verbs of a `LocalMap` that change it, for points of any kind."""
+
+    def insert(self, points_body: P_contra, T_odom_body: NDArray[np.float64], /) -> float:
+        """Add points of the body frame seen from a pose; return which share of their surroundings was new."""
+        ...
+
+    def prune(self, centre_odom: NDArray[np.float64], /) -> None:
+        """Forget what is too far away or too much."""
+        ...
+
+    def clear(self) -> None:
+        """Forget everything."""
+        ...
+
+    def __len__(self) -> int:
+        """Return the number of stored elements."""
+        ...
 
 
 _PRUNE_DISTANCE = 10.0  # the map is pruned when the sensor has gone this far [m]
 
 
-class MapKeeper:
+class MapKeeper(Generic[P]):
     """A local map, how many scans it holds, how far back it reaches, and the drift of its frame.
 
     Parameters
     ----------
-    local_map : LocalMap
+    local_map : GrowingMap
         One that is no `WindowedMap` keeps all that its own bounds allow.
     config : FilterConfig
     window : MapConfig
@@ -35,7 +61,7 @@ class MapKeeper:
         Where the sensor is, odom frame [m].
     """
 
-    def __init__(self, local_map: LocalMap, config: FilterConfig, window: MapConfig, centre: Array) -> None:
+    def __init__(self, local_map: GrowingMap[P], config: FilterConfig, window: MapConfig, centre: Array) -> None:
         self.map = local_map
         self.scans = 0
         """Scans inserted since the map was begun."""
@@ -50,7 +76,7 @@ class MapKeeper:
 
     def extend(
         self,
-        points_imu: NDArray[np.float32],
+        points_imu: P,
         pose: Array,
         state: NavState,
         seen: TrueShare | None,
@@ -61,7 +87,7 @@ class MapKeeper:
 
         Parameters
         ----------
-        points_imu : (N, 3) float32
+        points_imu : (N, 3) float32, or what the map takes
             De-skewed points [m].
         pose : (4, 4) float64
             Where to insert them.

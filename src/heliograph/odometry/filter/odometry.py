@@ -2,25 +2,47 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
-from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan, ScanResult, StartAccount
+from heliograph.data import Event, GnssFix, ImuBatch, NavState, OnlineCalibration, Rig, Scan, ScanResult, StartAccount
 from heliograph.data.error_layout import GRAVITY
 from heliograph.imu.clock_shift import HALF_WINDOW
 from heliograph.lie import so3
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.calibrating import uncertain_rig, with_calibration
 from heliograph.odometry.filter.core import FilterCore
+from heliograph.odometry.filter.motion import MotionModel
 from heliograph.odometry.filter.start import FirstLook, find_start, look
 from heliograph.odometry.sequencer import Packet, Sequencer
 
-__all__ = ["FilterOdometry"]
+__all__ = ["FilterOdometry", "ScanEstimator"]
 
 # Samples are kept longer than they are needed, by this factor: the next offset may be a smaller one.
 _KEEP_FACTOR = 20
 _REMARK_TILT_DEG, _WARNING_TILT_DEG = 0.2, 1.0  # sigma of the level that deserves a remark, a warning [deg]
+
+
+class ScanEstimator(Protocol):
+    """One state that steps from scan to scan, whatever it matches."""
+
+    state: NavState
+
+    @property
+    def calibration(self) -> OnlineCalibration | None:
+        """Mounting and clock as they are estimated now, None where they are not."""
+        ...
+
+    def process(self, scan: Scan, imu: ImuBatch) -> ScanResult:
+        """Process one scan."""
+        ...
+
+    def dead_reckon(self, end_ns: int, imu: ImuBatch) -> ScanResult:
+        """Carry the state on without one."""
+        ...
 
 
 class FilterOdometry:
@@ -51,7 +73,7 @@ class FilterOdometry:
         local_map: LocalMap | None = None,
     ) -> None:
         self.events: list[Event] = []
-        self.core: FilterCore | None = None
+        self.core: ScanEstimator | None = None
         self.start: StartAccount | None = None
         self._config, self._threads, self._local_map = config, threads, local_map
         self._rig = uncertain_rig(rig, config.filter)
@@ -148,8 +170,11 @@ class FilterOdometry:
         self.events += start.events
         self.start = start.account
         state = with_calibration(start.state, self._config.filter) if start.motion.inertial else start.state
-        self.core = FilterCore(state, start.motion, self._config, local_map=self._local_map, threads=self._threads)
+        self.core = self._make_core(state, start.motion)
         return True
+
+    def _make_core(self, state: NavState, motion: MotionModel) -> ScanEstimator:
+        return FilterCore(state, motion, self._config, local_map=self._local_map, threads=self._threads)
 
     def _step(self, packet: Packet) -> ScanResult:
         assert self.core is not None

@@ -1,0 +1,216 @@
+"""A scan's pose on the map of features, and what it tells the state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from heliograph.arrays import Array, freeze
+from heliograph.config import RunConfig
+from heliograph.data import NavState
+from heliograph.data.error_layout import POSE, POSITION, ROTATION
+from heliograph.imu import ImuPath
+from heliograph.lie import so3
+from heliograph.maps import FeatureMap
+from heliograph.odometry.filter.measurement import ScanMeasurement
+from heliograph.odometry.filter.motion import MotionModel, sweep_path
+from heliograph.odometry.filter.update import FilterUpdate, iterated_update
+from heliograph.odometry.loam.sweep import FeatureSweep
+from heliograph.registration import FeatureNoise, FeatureRegistration, TrueShare, register_features
+
+__all__ = ["FeatureMatcher", "PoseFit", "anchored", "fused"]
+
+_OPENING_SIGMAS = 3.0  # of the predicted pose, that the first kernel is as wide as
+_SHARE_GAIN = 0.1  # of a new scan in the share of features that usually match
+_SAME = 0.005  # a motion of the sweep that differs by less at the typical range needs no second registration [m]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseFit:
+    """A scan's registration, and the state that it led to."""
+
+    registration: FeatureRegistration
+    update: FilterUpdate[ScanMeasurement]
+    seen: TrueShare
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def state(self) -> NavState:
+        """The state at the scan's end."""
+        return self.update.state
+
+
+class FeatureMatcher:
+    """Registers sweeps to a map of features, and remembers how noisy they are and how many of them usually match.
+
+    Parameters
+    ----------
+    config : RunConfig
+    threads : int
+        Threads of the native loops; the results do not depend on them.
+    """
+
+    def __init__(self, config: RunConfig, *, threads: int) -> None:
+        self.noise = FeatureNoise(edge=config.loam.edge_sigma, plane=config.loam.plane_sigma)
+        self._config, self._threads = config, threads
+        self._usual_share = 0.0
+
+    def match(
+        self, prior: NavState, led: ImuPath, sweep: FeatureSweep, local_map: FeatureMap, motion: MotionModel
+    ) -> PoseFit | None:
+        """Return the fit of a sweep to the map, None where too few features match to trust it.
+
+        Parameters
+        ----------
+        prior : NavState
+            As predicted to the sweep's end.
+        led : ImuPath
+            The motion to de-skew with, which ends where the registration begins.
+        sweep : FeatureSweep
+        local_map : FeatureMap
+        motion : MotionModel
+        """
+        if len(local_map) == 0 or sweep.count < self._config.filter.min_matches:
+            return None
+        fit = self._led(prior, _at_end(prior, led), sweep, led, local_map, motion)
+        if fit is not None:
+            self._learn(fit.registration)
+        return fit
+
+    def _led(
+        self,
+        prior: NavState,
+        start: NavState,
+        sweep: FeatureSweep,
+        led: ImuPath,
+        local_map: FeatureMap,
+        motion: MotionModel,
+    ) -> PoseFit | None:
+        """Register points that are de-skewed already, and again where an IMU's state found bends the sweep.
+
+        Without an IMU the scan before has de-skewed them. A second time, with the motion between two poses on the map,
+        would let an error of one scan come back in the next with the opposite sign.
+        """
+        fit, path = None, led
+        for _ in range(self._config.loam.passes if motion.inertial else 1):
+            found = self._register(prior, start, sweep, path, local_map)
+            better = self._fit(prior, start, found, sweep, led, motion)
+            if better is None:
+                break
+            fit, start = better, better.state
+            before, path = path, sweep_path(led, prior, start)
+            if _moved(before, path, self._config.filter.typical_range) < _SAME:
+                break
+        return fit
+
+    def _fit(
+        self,
+        prior: NavState,
+        start: NavState,
+        found: FeatureRegistration,
+        sweep: FeatureSweep,
+        led: ImuPath,
+        motion: MotionModel,
+    ) -> PoseFit | None:
+        """Return what a registration makes of the state, None where it is not to be trusted."""
+        if not self._trusted(prior, start, found):
+            return None
+        update = fused(prior, found, self._config)
+        seconds = float(led.stamps_ns[-1] - led.stamps_ns[0]) * 1e-9
+        state = motion.settled(prior, update.state, converged=found.converged, seconds=seconds, sweep=sweep.seconds)
+        return PoseFit(registration=found, update=replace(update, state=state), seen=found.seen)
+
+    def _opening(self, prior: NavState) -> float:
+        return min(_OPENING_SIGMAS * self._unknown(prior), self._config.filter.max_kernel)
+
+    def _register(
+        self, prior: NavState, state: NavState, sweep: FeatureSweep, path: ImuPath, local_map: FeatureMap
+    ) -> FeatureRegistration:
+        return register_features(
+            local_map,
+            sweep.points(path),
+            state.T_odom_imu,
+            noise=self.noise,
+            config=self._config.loam,
+            settings=self._config.filter,
+            opening=self._opening(prior),
+            threads=self._threads,
+        )
+
+    def _unknown(self, prior: NavState) -> float:
+        """Return how far off the prediction may place a point at the typical range, one sigma [m]."""
+        position = float(np.linalg.eigvalsh(prior.covariance[POSITION, POSITION])[-1])
+        rotation = float(np.linalg.eigvalsh(prior.covariance[ROTATION, ROTATION])[-1])
+        return float(np.sqrt(max(position, 0.0) + self._config.filter.typical_range**2 * max(rotation, 0.0)))
+
+    def _trusted(self, prior: NavState, start: NavState, found: FeatureRegistration) -> bool:
+        """Whether enough features match, as many as usual after a vague prediction, and near where they were to."""
+        config = self._config.filter
+        if found.sums.matches < config.min_matches:
+            return False
+        share = found.sums.matches / max(found.sums.queries, 1)
+        if share < config.vague_share * self._usual_share and not found.converged:
+            return False
+        jump = float(np.linalg.norm(found.T_odom_body[:3, 3] - start.p_odom))
+        return jump < self._config.loam.max_jump + 2.0 * _OPENING_SIGMAS * self._unknown(prior)
+
+    def _learn(self, found: FeatureRegistration) -> None:
+        self.noise = self.noise.updated(found, self._config.filter)
+        share = found.sums.matches / max(found.sums.queries, 1)
+        self._usual_share += _SHARE_GAIN * (share - self._usual_share) if self._usual_share > 0.0 else share
+
+
+def fused(prior: NavState, found: FeatureRegistration, config: RunConfig) -> FilterUpdate[ScanMeasurement]:
+    """Tell the predicted state the pose that was found, with the information that its matches gave.
+
+    Velocity, biases and gravity follow by what the prediction has made them have in common with the pose, eq. (10) of
+    docs/theory/loam.md; along what the matches did not see the pose tells nothing.
+    """
+    information = found.seen.information() / config.loam.correlation
+    columns = np.arange(POSE.start, POSE.stop)
+
+    def measure(state: NavState, _: int) -> ScanMeasurement:
+        turn = so3.log(found.T_odom_body[:3, :3].T @ state.R_odom_imu)
+        error = np.concatenate([turn, state.p_odom - found.T_odom_body[:3, 3]])
+        J = np.eye(6)
+        J[:3, :3] = np.linalg.inv(so3.right_jacobian(turn))
+        return ScanMeasurement(
+            columns=columns, information=J.T @ information @ J, gradient=J.T @ information @ error, sums=found.sums
+        )
+
+    settings = config.filter
+    update = iterated_update(
+        prior,
+        measure,
+        max_iterations=settings.max_iterations,
+        tolerance_rotation=settings.tolerance_rotation,
+        tolerance_position=settings.tolerance_position,
+    )
+    return replace(update, iterations=found.iterations, converged=found.converged)
+
+
+def anchored(state: NavState) -> NavState:
+    """Make the pose the odom frame's definition: certain, and unrelated to the other errors."""
+    covariance = state.covariance.copy()
+    covariance[POSE, :] = 0.0
+    covariance[:, POSE] = 0.0
+    return replace(state, covariance=covariance)
+
+
+def _at_end(state: NavState, path: ImuPath) -> NavState:
+    """Return the state at the end of a path."""
+    return replace(state, R_odom_imu=path.R_odom_imu[-1], p_odom=path.p_odom[-1])
+
+
+def _moved(a: ImuPath, b: ImuPath, reach: float) -> float:
+    """Return how far two motions of one sweep carry a point at a distance of ``reach`` apart [m]."""
+
+    def way(path: ImuPath) -> tuple[Array, Array]:
+        R = path.R_odom_imu[0].T
+        return R @ path.R_odom_imu[-1], R @ (path.p_odom[-1] - path.p_odom[0])
+
+    (Ra, pa), (Rb, pb) = way(a), way(b)
+    return float(np.linalg.norm(pa - pb) + reach * np.linalg.norm(Ra - Rb) / np.sqrt(2.0))
