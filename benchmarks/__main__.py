@@ -21,6 +21,7 @@ from benchmarks import (
     kd_tree,
     kitti,
     lio,
+    loop_misled,
     loops,
     match_scores,
     outliers,
@@ -166,6 +167,7 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
     if "loops" in wanted:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["loops"]))
         _write("loops", loops.measure_loops(arguments.data.parent / "keyframes", seeds=seeds))
+        _write("loop_misled", loop_misled.measure_misled(seeds))
 
 
 def main() -> None:

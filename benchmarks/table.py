@@ -15,6 +15,7 @@ from benchmarks.graph_table import graph_section, graph_summary, scale_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.kd_tree import kd_tree_section
+from benchmarks.loop_misled import misled_section
 from benchmarks.loops import loops_section
 from benchmarks.match_scores import scores_section
 from benchmarks.outliers import outliers_section
@@ -41,6 +42,7 @@ _OTHER_SECTIONS = {
     "blind": blind_section,
     "kd_tree": kd_tree_section,
     "loops": loops_section,
+    "loop_misled": misled_section,
     "match_scores": scores_section,
     "sigmas": sigmas_section,
 }
