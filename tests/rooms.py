@@ -17,7 +17,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "heliograph"
 
 # What everybody may import; `atomic`, `chi_square`, `plugins`, `config` and its helpers know only the errors,
 # `geodesy` nothing.
-COMMON = {"arrays", "atomic", "chi_square", "errors", "geodesy", "plugins", "_core"}
+COMMON = {"arrays", "atomic", "chi_square", "errors", "geodesy", "guard", "plugins", "_core"}
 COMMON |= {"config", "config_checks", "config_registration", "config_toml"}
 SENSING = {"lie", "data"}
 ODOMETRY = SENSING | {"cloud", "imu", "maps", "registration"}
@@ -32,6 +32,7 @@ ALLOWED: dict[str, set[str]] = {
     "atomic": {"errors"},
     "chi_square": {"errors"},
     "geodesy": set(),
+    "guard": {"errors", "config"},
     "plugins": {"errors"},
     "config_checks": {"errors"},
     "config_registration": {"errors", "config_checks"},

@@ -174,7 +174,7 @@ def _facts(folder: Path) -> dict[str, Any]:
     path = folder / "run.json"
     try:
         facts = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise FormatError(folder, f"is no folder of a run (run.json: {error}); name what `run` wrote") from error
     if not isinstance(facts, dict):
         raise FormatError(path, "is no account of a run; name the folder that `run` wrote")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from heliograph.cli import options
+from heliograph.cli import options, terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -86,16 +86,14 @@ def _watching(*, shown: bool) -> Iterator[Watcher]:
         return
     from rich.console import Console
 
-    with Console(stderr=True).status("reading the recording") as status:
+    with Console(file=terminal.raw(sys.stderr)).status("reading the recording") as status:
         yield lambda what, done: status.update(f"checking: {done} {what}")
 
 
 def _show(report: CheckReport, *, quiet: bool) -> None:
-    from rich.console import Console
     from rich.markup import escape
 
-    # Where the output goes to a file or a pipe, rows must not be folded at the width of a terminal that is not there.
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 200, soft_wrap=False)
+    console = terminal.console()
     if not quiet:
         _head(console, report)
         _table(console, report.findings)

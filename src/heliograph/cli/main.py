@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import traceback
@@ -11,8 +12,10 @@ from typing import Annotated
 import typer
 
 from heliograph.cli import align, calibrate, check, demo, evaluate, info, lab, loops, run, simulate, solve, survey
+from heliograph.cli.interrupt import EndedError, ends_in_order
 from heliograph.cli.options import PluggableCommand
-from heliograph.errors import HeliographError
+from heliograph.cli.terminal import guarded_streams
+from heliograph.errors import HeliographError, OutputError
 
 __all__ = ["app", "main"]
 
@@ -66,11 +69,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 done (warnings included), 2 bad input or usage, 130 interrupted, 1 a defect of Heliograph.
+        0 done (warnings included), 2 bad input or usage, 130 interrupted (129 and 143: by SIGHUP and SIGTERM), 1 a
+        defect of Heliograph.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    if not arguments:
-        arguments = ["--help"]
+    with guarded_streams(), ends_in_order():
+        return _outcome(arguments or ["--help"])
+
+
+def _outcome(arguments: list[str]) -> int:
     try:
         code = app(arguments, standalone_mode=False)
         sys.stdout.flush()
@@ -78,6 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error))
     except ClickError as error:
         return _fail(_usage(error))
+    except EndedError as ended:
+        return _fail(f"ended by {ended}", ended.code)
     except (KeyboardInterrupt, typer.Abort):
         return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:  # `heliograph info ... | head`: the reader has what it wanted
@@ -90,7 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(message: str, code: int = BAD_INPUT) -> int:
-    print("error:", " ".join(message.split()), file=sys.stderr)
+    with contextlib.suppress(OSError, OutputError):  # nobody hears it: the exit code still tells
+        print("error:", " ".join(message.split()), file=sys.stderr)
     return code
 
 

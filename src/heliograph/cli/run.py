@@ -87,20 +87,20 @@ def run(
     if crs is not None:
         deliver_run(folder.path, crs)
     if interrupted:
-        raise typer.Exit(130)
+        raise typer.Exit(interrupted)
 
 
 def execute(
     recordings: list[Path], config: RunConfig, output: Path | None, *, overwrite: bool, progress: bool
-) -> tuple[RunFolder, bool]:
+) -> tuple[RunFolder, int]:
     """Open a recording, run the pipeline on it, and write its folder.
 
     Returns
     -------
     folder : RunFolder
         With the account (``facts``) and the record of the run.
-    interrupted : bool
-        Whether Ctrl-C ended it.
+    interrupted : int
+        Exit code for what ended it early, Ctrl-C or a signal; 0 where nothing did.
     """
     from heliograph import pipeline
     from heliograph.cli.interrupt import interruptible
@@ -124,8 +124,10 @@ def execute(
                 )
             except OutputError as error:
                 done = folder.record.summary.scans if folder.record else 0
+                if not done:
+                    raise
                 raise OutputError(f"{error}; what could be saved of {done} scans is in {folder.path}") from error
-    return folder, summary.interrupted
+    return folder, stop.code if summary.interrupted else 0
 
 
 def _folder(

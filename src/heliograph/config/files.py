@@ -36,6 +36,10 @@ class InputConfig:
         Part of the recording to use [s]; a duration of 0 means: to the end.
     max_probe : float
         How much from the start is read at most to infer what is not given; a sensor that begins later is not found [s].
+    max_chunk : float
+        Most that one compressed chunk or message may unpack to; a larger one is damaged or hostile, and left out [MB].
+    max_unpack_ratio : float
+        How many times its own size a compressed file may unpack to.
     """
 
     reader: str = ""
@@ -50,6 +54,8 @@ class InputConfig:
     start: float = 0.0
     duration: float = 0.0
     max_probe: float = 20.0
+    max_chunk: float = 256.0
+    max_unpack_ratio: float = 1000.0
 
     def __post_init__(self) -> None:
         check_choice(self, "point_time_unit", "", "s", "ms", "us", "ns")
@@ -58,6 +64,8 @@ class InputConfig:
         check_choice(self, "gyro_unit", "", "rad/s", "deg/s")
         check_range(self, "start", "duration", low=0.0)
         check_range(self, "max_probe", above=0.0, high=600.0)
+        check_range(self, "max_chunk", low=1.0, high=16_000.0)
+        check_range(self, "max_unpack_ratio", low=1.0, high=1e9)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

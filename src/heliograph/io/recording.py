@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 from heliograph.config import InputConfig
 from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, ImuRecord, Message, Rig, Scan
 from heliograph.errors import CalibrationError, ConfigError, DataError, closest
+from heliograph.guard.limits import ReadLimits
 from heliograph.io.bags.rosbag import RosbagSource
 from heliograph.io.inference.imu_units import is_usable
 from heliograph.io.inference.interpret import Interpretation, interpret
 from heliograph.io.inference.record import Inference
 from heliograph.io.inference.scans import to_scan
-from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo
+from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo, until_damage
 from heliograph.io.registry import open_raw_source
 from heliograph.io.tally import StreamTally
 
@@ -65,7 +66,7 @@ def open_recording(
     """
     config = config or InputConfig()
     given = [paths] if isinstance(paths, str | Path) else list(paths)
-    source = open_raw_source([Path(path) for path in given], reader=config.reader)
+    source = open_raw_source([Path(path) for path in given], reader=config.reader, limits=ReadLimits.of(config))
     try:
         return Recording(source, interpret(source, config, sensors), config)
     except BaseException:
@@ -305,7 +306,7 @@ class Recording:
             messages = self._source.messages(topics, start_ns if self._config.start > 0 else 0)
         else:
             messages = self._source.messages(topics)
-        for message in messages:
+        for message in until_damage(self._source, messages):
             if self._config.start > 0 and message.received_ns < start_ns:
                 continue
             if end_ns is not None and message.received_ns > end_ns:

@@ -77,11 +77,17 @@ def final_facts(
         Writers' failures.
     """
     summary = record.summary
+    failure = summary.failure or "; ".join(str(failure) for failure in failures)
+    # A run of which something is not there is none that is well, however well its scans went.
+    incomplete = bool(failure) and summary.status == "ok"
     account = {
-        "status": summary.status,
-        "reasons": list(summary.reasons),
+        "status": "incomplete" if incomplete else summary.status,
+        "reasons": [
+            *summary.reasons,
+            *([f"it did not end, or not all could be written: {failure}"] if failure else []),
+        ],
         "interrupted": summary.interrupted,
-        "failure": summary.failure or "; ".join(str(failure) for failure in failures),
+        "failure": failure,
         "sensors": list(summary.sensors),
         "scans": summary.scans,
         "scan_verdicts": dict(summary.statuses),

@@ -20,6 +20,7 @@ from heliograph.data import ImuBatch, Message, OnlineCalibration, ScanResult
 from heliograph.errors import OutputError
 from heliograph.io.files.clouds import write_cloud
 from heliograph.output.facts import final_facts
+from heliograph.output.lock import FolderLock
 from heliograph.output.map_writer import MapWriter
 from heliograph.output.record import RunRecord
 from heliograph.output.scan_log import ScanLog
@@ -90,7 +91,13 @@ class RunFolder(Sink):
         overwrite: bool = False,
     ) -> None:
         self._created = not path.exists()
-        self.path = check_output_directory(path, overwrite)
+        self._lock = FolderLock(path) if path.is_dir() else None
+        try:
+            self.path = check_output_directory(path, overwrite)
+            self._lock = self._lock or FolderLock(path)
+        except BaseException:
+            self._unlock()
+            raise
         self.name, self.config, self._output, self._finishers = name, config, output, tuple(finishers)
         self._facts = facts
         self.facts: dict[str, Any] = dict(facts())
@@ -169,8 +176,10 @@ class RunFolder(Sink):
         self.files += [self.path / "config.toml", self.path / "run.json"]
         with self._step("run.json", failures):
             closing = time.perf_counter() - began
-            self.facts = final_facts(self.facts, self.record, self.files, self.writer_seconds, closing, failures)
-            write_text(self.path / "run.json", json.dumps(self.facts, indent=2, allow_nan=False) + "\n")
+            written = [path for path in dict.fromkeys(self.files) if path.exists()]
+            self.facts = final_facts(self.facts, self.record, written, self.writer_seconds, closing, failures)
+            self._write_account()
+        self._unlock()
         if failures:
             raise failures[0]
 
@@ -185,6 +194,7 @@ class RunFolder(Sink):
             self._discard()
         else:
             self._release()
+        self._unlock()
 
     @property
     def _map_path(self) -> Path:
@@ -214,9 +224,27 @@ class RunFolder(Sink):
         if self._map.release(keep=self._output.keep_submaps or not_merged):
             self.files.append(self._map.path)
 
+    def _write_account(self) -> None:
+        """Write ``run.json``; on a full disk over the first one, which must not say any more that it runs."""
+        path = self.path / "run.json"
+        try:
+            write_text(path, json.dumps(self.facts, indent=2, allow_nan=False) + "\n")
+        except OutputError:
+            told = {key: self.facts[key] for key in ("status", "interrupted", "failure", "scans", "files")}
+            told["status"] = "incomplete" if told["status"] == "ok" else told["status"]
+            text = json.dumps(told, indent=2) + "\n"
+            with path.open("r+b") as file:  # in place: what it takes is its own already
+                file.write(text.encode().ljust(max(path.stat().st_size, len(text)), b"\n"))
+            raise
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+
     def _discard(self) -> None:
         """Leave nothing of a run that has no result."""
         self._release()
+        self._unlock()
         self._remove()
 
     def _release(self) -> None:
@@ -244,6 +272,7 @@ class RunFolder(Sink):
         try:
             yield
         except BaseException:
+            self._unlock()
             self._remove()
             raise
 

@@ -15,7 +15,7 @@ from heliograph.io.inference.mounting import FrameTree, Mounting, find_mounting
 from heliograph.io.inference.record import Inference, make_inference
 from heliograph.io.inference.scans import PointTiming
 from heliograph.io.inference.timing import infer_timing
-from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, RawTransform, TopicInfo
+from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, RawTransform, TopicInfo, until_damage
 
 __all__ = ["Interpretation", "interpret"]
 
@@ -198,7 +198,10 @@ def _require_messages(
     source: RawSource, lidar: str | None, imu: str | None, clouds: list[RawCloud], samples: list[RawImu], sensors: str
 ) -> None:
     if lidar and not clouds:
-        why = next((event.message for event in source.events if event.code == "bad-message"), "the topic is empty")
+        why = next(
+            (event.message for event in source.events if event.code in ("bad-message", "truncated")),
+            "the topic is empty",
+        )
         raise DataError(f"{source.description}: {lidar} holds no usable scan ({why})")
     if imu and not samples and sensors != "auto" and "imu" in sensors:
         raise DataError(f"{source.description}: {imu} holds no usable sample")
@@ -208,10 +211,10 @@ def _probe(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo], ma
     """Read the first messages; static transforms are read wherever they are, a recorder may be started late."""
     probe = _Probe()
     static = frozenset(t.name for t in source.topics if t.kind == "tf" and "static" in t.name)
-    for message in source.messages(static) if static else ():
+    for message in until_damage(source, source.messages(static)) if static else ():
         probe.add(message)
     names = {t.name for t in [*lidars, *imus]} | {t.name for t in source.topics if t.kind in ("tf", "gnss")} - static
-    for message in source.messages(frozenset(names)):
+    for message in until_damage(source, source.messages(frozenset(names))):
         probe.add(message)
         if _is_complete(probe, lidars, imus, message.received_ns, max_probe):
             break
@@ -279,7 +282,18 @@ def _read_lidar(clouds: Sequence[RawCloud], config: InputConfig) -> tuple[PointT
     if not clouds:
         return PointTiming(), []
     result = infer_timing(clouds, config)
-    return result.timing, [*result.inferences, *result.events]
+    return result.timing, [*result.inferences, *result.events, *_byte_order(clouds)]
+
+
+def _byte_order(clouds: Sequence[RawCloud]) -> list[Note]:
+    count = sum(cloud.swapped for cloud in clouds)
+    if not count:
+        return []
+    message = (
+        f"{clouds[0].topic}: is_bigendian says the wrong byte order in {count} of the first {len(clouds)} scans, whose "
+        "coordinates are lengths only in the other; that one is used; mend the driver or the exporter that sets it"
+    )
+    return [Event(code="byte-order", message=message)]
 
 
 def _read_imu(samples: Sequence[RawImu], config: InputConfig) -> tuple[ImuUnits | None, int, str, list[Note]]:
