@@ -62,17 +62,18 @@ def judge(evidence: FixEvidence, config: GnssConfig) -> Judgement:
             placement = evidence.placed(delay)
             chain = chain.moved(placement)
             weights, solution = _graduated(chain, solution, threshold)
-    grown = _left_over(evidence, weights, solution)
+    judged, grown = solution.squared, _left_over(evidence, weights, solution)
     if grown > _GROWN:
         evidence = replace(evidence, covariance=evidence.covariance * grown**2)
+        # Weighed by it, but not judged again: a wider gate would let in what has just been told apart.
         chain = chain.weighed(evidence.covariance)
-        weights, solution = _graduated(chain, solution, threshold)
+        solution = chain.solve(solution, weights)
     covariance_enu, arm_sigma = chain.marginals(solution, weights)
     return Judgement(
         placement=placement,
         weights=weights * placement.covered,
         covariance=evidence.covariance,
-        squared=solution.squared,
+        squared=judged,
         residual=solution.residual,
         threshold=threshold,
         T_map_enu=solution.T_map_enu,
