@@ -269,6 +269,9 @@ def find_motion(
     scans, light = (_thinned(scans, _LED[0]), _light(config, *_LED[1:])) if dense else (scans, config)
     if len(scans) < _MIN_POSES:
         return None
+    meanwhile = (imu.stamps_ns >= scans[0].stamp_ns) & (imu.stamps_ns <= scans[-1].end_ns)
+    if np.count_nonzero(meanwhile) < len(scans):  # the clocks differ: the samples are of another time
+        return None
     noise = noise_in_motion(imu, config.imu)
 
     def led(state: NavState, lead: ImuBatch) -> _Led:
