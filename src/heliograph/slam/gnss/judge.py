@@ -175,6 +175,7 @@ def _left_over(evidence: FixEvidence, weights: Array, solution: ChainSolution) -
     if len(pair) >= 20:
         rho = float((white[pair] * white[pair + 1]).sum() / max((white[pair] ** 2).sum(), 1e-12))
     correlated = np.sqrt((1.0 + rho) / (1.0 - min(rho, 0.999))) if rho > _CORRELATED else 1.0
+    correlated = min(correlated, np.sqrt(used.sum()))  # all of one error still tell as much as one fix
     return float(min(size * correlated, _LARGEST_SCALE))
 
 
