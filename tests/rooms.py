@@ -56,9 +56,10 @@ ALLOWED: dict[str, set[str]] = {
     "sim": COMMON | SENSING,
     "metrics": COMMON | SENSING,
     "checks": COMMON | SENSING | {"metrics"},
-    "output": COMMON | SENSING | {"io", "maps"},
-    "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output"},
+    "output": COMMON | SENSING | {"io", "maps", "checks"},
+    "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output", "repair"},
     "examination": COMMON | SLAM | {"io", "checks"},
+    "repair": COMMON | SLAM | {"calibration", "checks", "examination"},
     "report": COMMON | SENSING | {"imu", "io", "calibration", "output", "checks", "metrics"},
     "lab": COMMON | SLAM | {"sim", "metrics", "slam"},
     "cli": COMMON

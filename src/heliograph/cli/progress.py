@@ -49,6 +49,10 @@ class ProgressSink(Sink):
             left = f", {(self.total - self._done) / self._rate(now):.0f} s left" if self.total else ""
             print(f"{self.label}: {self._done}{of} scans, {self._rate(now):.0f} a second{left}", file=sys.stderr)
 
+    def restart(self) -> None:
+        """Count from nothing again."""
+        self._done, self._start = 0, time.monotonic()
+
     def close(self, summary: RunSummary) -> None:  # noqa: ARG002 - the protocol's
         """End the bar."""
         if self._bar is not None:

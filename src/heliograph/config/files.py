@@ -40,6 +40,8 @@ class InputConfig:
         Most that one compressed chunk or message may unpack to; a larger one is damaged or hostile, and left out [MB].
     max_unpack_ratio : float
         How many times its own size a compressed file may unpack to.
+    repair : bool
+        Whether faults of the data that the data themselves prove are mended, each said in one line.
     """
 
     reader: str = ""
@@ -56,6 +58,7 @@ class InputConfig:
     max_probe: float = 20.0
     max_chunk: float = 256.0
     max_unpack_ratio: float = 1000.0
+    repair: bool = True
 
     def __post_init__(self) -> None:
         check_choice(self, "point_time_unit", "", "s", "ms", "us", "ns")

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from heliograph.data import GraphAccount, StartAccount
+from heliograph.checks import VERDICT_WORDS, Finding
+from heliograph.data import GraphAccount, SensorRepair, StartAccount
 from heliograph.output.blind_spans import BlindSpan
 from heliograph.output.georeference import gnss_facts
 from heliograph.output.level import Level
@@ -100,6 +101,8 @@ def final_facts(
             "direction_map": summary.weakest_direction.tolist(),
         },
         **({"graph": graph_facts(summary.graph)} if summary.graph is not None else {}),
+        "checks": [finding_facts(finding) for finding in summary.findings],
+        **({"repairs": [_repair(repair) for repair in summary.repairs]} if summary.repairs else {}),
         "blind_spans": [_blind(span) for span in summary.blind_spans],
         "level": _level(summary.level),
         **({"start": _start(summary.start)} if summary.start is not None else {}),
@@ -121,6 +124,35 @@ def graph_facts(graph: GraphAccount) -> dict[str, Any]:
     gnss = {} if graph.gnss is None else {"gnss": gnss_facts(graph.gnss)}
     wheels = {} if graph.wheels is None else {"wheels": asdict(graph.wheels)}
     return {"keyframes": graph.keyframes, "moved_m": graph.moved, "loops": loops, **gnss, **wheels}
+
+
+def finding_facts(finding: Finding) -> dict[str, Any]:
+    """Return one verdict of the checks as ``run.json`` has it."""
+    return {
+        "code": finding.code,
+        "title": finding.title,
+        "verdict": VERDICT_WORDS[finding.verdict],
+        "evidence": finding.evidence,
+        "remedy": finding.remedy,
+        "numbers": [asdict(number) for number in finding.numbers],
+        "picture": finding.picture,
+    }
+
+
+def _repair(repair: SensorRepair) -> dict[str, Any]:
+    """Return what was mended, with the numbers that were put in place."""
+    clock, rig = repair.clock, repair.rig
+    account: dict[str, Any] = {"code": repair.code, "sentence": repair.sentence}
+    for name in ("gyro", "accel"):
+        if not np.array_equal(getattr(repair, name), np.eye(3)):
+            account[f"{name}_factor"] = getattr(repair, name).tolist()
+    if not clock.exact:
+        account["imu_clock"] = {
+            "offset_s": clock.offset, "drift_ppm": 1e6 * clock.drift, "reference_ns": clock.reference_ns,
+        }  # fmt: skip
+    if rig is not None:
+        account["T_imu_lidar"] = rig.T_imu_lidar.tolist()
+    return account
 
 
 def _blind(span: BlindSpan) -> dict[str, Any]:

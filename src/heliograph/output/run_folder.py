@@ -114,14 +114,28 @@ class RunFolder(Sink):
                 # What the format needs may not be installed; that must not come out after an hour's run.
                 write_cloud(self._map_path, np.zeros((1, 3), dtype=np.float32))
                 self._map_path.unlink()
-            version = str(self.facts.get("versions", {}).get("heliograph", ""))
-            stamp = "header stamp of a LiDAR message [s]" if has_map else "time of the pose [s]"
-            self._trajectories = TrajectoryFiles(
-                path, body=output.body, T_imu_body=T_imu_body, version=version, stamp=stamp
-            )
-            self._log = ScanLog(path / "scans.csv")
-            if has_map:
-                self._map = MapWriter(path / SUBMAPS, output, threaded=threaded)
+            self._has_map, self._T_imu_body, self._threaded = has_map, T_imu_body, threaded
+            self._open_files()
+
+    def _open_files(self) -> None:
+        """Begin the files that grow with the run."""
+        version = str(self.facts.get("versions", {}).get("heliograph", ""))
+        stamp = "header stamp of a LiDAR message [s]" if self._has_map else "time of the pose [s]"
+        self._trajectories = TrajectoryFiles(
+            self.path, body=self._output.body, T_imu_body=self._T_imu_body, version=version, stamp=stamp
+        )
+        self._log = ScanLog(self.path / "scans.csv")
+        if self._has_map:
+            self._map = MapWriter(self.path / SUBMAPS, self._output, threaded=self._threaded)
+
+    def restart(self) -> None:
+        """Begin the files anew; what they held is gone."""
+        self._release()
+        with self._nothing_left_on_failure():
+            write_text(self.path / "config.toml", self.config)
+            write_text(self.path / "run.json", json.dumps({"status": "running", **self.facts}, indent=2, default=str))
+            self._map, self._count, self._calibration = None, 0, None
+            self._open_files()
 
     def observe(self, message: Message) -> None:
         """Note the IMU's stamps."""

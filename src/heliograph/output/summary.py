@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
-from heliograph.data import Event, GraphAccount, ScanResult, StartAccount
+from heliograph.checks import Finding
+from heliograph.data import Event, GraphAccount, ScanResult, SensorRepair, StartAccount
 from heliograph.data.error_layout import GRAVITY
 from heliograph.output.blind_spans import BlindSpan, BlindSpans
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.level import Level
 
-__all__ = ["RunSummary", "Tally", "fold_events", "judge"]
+__all__ = ["RunSummary", "Tally", "doubts_of", "fold_events", "judge"]
 
 # Shares of the scans from which a result is called degraded or lost. A single bad scan in a thousand is normal (a
 # person walks past the sensor); from a tenth on a user who trusts the map without looking would be misled.
@@ -79,6 +80,10 @@ class RunSummary:
         How the odometry began; None where it does not tell.
     failure : str
         The error that ended the run early, or empty.
+    findings : tuple of Finding
+        The six verdicts of the checks inside the run.
+    repairs : tuple of SensorRepair
+        What was mended before the run.
     """
 
     status: str = "ok"
@@ -104,6 +109,8 @@ class RunSummary:
     level: Level = field(default_factory=Level)
     start: StartAccount | None = None
     failure: str = ""
+    findings: tuple[Finding, ...] = ()
+    repairs: tuple[SensorRepair, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -199,6 +206,20 @@ def _blindness(blind: tuple[BlindSpan, ...], budget: float, share: float) -> lis
     if share >= DEGRADED_SHARE and not any(span.sigma_after > 0.0 for span in blind):
         return [f"one direction was unobservable in {share:.0%} of the scans"]
     return []
+
+
+def doubts_of(findings: Iterable[Finding], events: Iterable[Event]) -> tuple[str, ...]:
+    """Return what speaks against a result by its checks and events: those that failed, and those that are errors.
+
+    What blind stretches cost is told to `judge` by themselves.
+    """
+    wrong = [event.message for event in events if event.severity == "error"]
+    failed = [
+        f"{finding.title}: {finding.evidence} - {finding.remedy}"
+        for finding in findings
+        if finding.verdict == "fail" and finding.code != "degenerate-drift"
+    ]
+    return (*wrong, *failed)
 
 
 def fold_events(events: Iterable[Event]) -> tuple[Event, ...]:

@@ -13,6 +13,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
@@ -39,6 +40,7 @@ FOOTER_BYTES = 9 + 20 + 8
 RECORD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 END_OF_TIME_NS = MAX_NS
+CLOCK_SET_BACK_NS = 800_000_000  # by which no recorder writes a message late
 ENCODINGS = {"cdr": "cdr", "ros1": "ros1"}
 DAMAGE = (struct.error, ValueError, IndexError, EOFError, RuntimeError, OSError, OverflowError)
 
@@ -130,12 +132,30 @@ class McapStorage:
         if self._loose:
             yield from self._read_loose(wanted, start_ns)
             return
+        if self._clock_was_set_back():
+            # Sorted by time, what came after the step would lie between what came before it.
+            for chunk in sorted(self._chunks, key=lambda chunk: chunk.offset):
+                yield from self._read_chunk(chunk, wanted, start_ns)
+            return
         chunks = [
             (chunk.start_ns, partial(self._read_chunk, chunk, wanted, start_ns))
             for chunk in self._chunks
             if chunk.end_ns >= start_ns and (chunk.channels is None or not chunk.channels.isdisjoint(wanted))
         ]
         yield from merge_lazily(chunks, key=lambda item: item[1])
+
+    def _clock_was_set_back(self) -> bool:
+        """Whether the recorder's clock ran back between two chunks, as their spans tell.
+
+        Writers that put each topic into chunks of its own overlap by any amount: only chunks of one topic are compared.
+        """
+        last: dict[int, int] = {}
+        for chunk in sorted((chunk for chunk in self._chunks if chunk.end_ns), key=lambda chunk: chunk.offset):
+            keys = chunk.channels if chunk.channels is not None else frozenset(self._channels)
+            if any(chunk.start_ns < last.get(key, 0) - CLOCK_SET_BACK_NS for key in keys):
+                return True
+            last.update(dict.fromkeys(keys, chunk.end_ns))
+        return False
 
     def _by_id(self) -> dict[int, Channel]:
         return {
@@ -284,7 +304,8 @@ class McapStorage:
                     found.append((wanted[key], time_ns, record[MESSAGE_HEAD.size :]))
         except DAMAGE as error:
             self._note_damage(chunk.offset, chunk.length, error)
-        found.sort(key=lambda item: item[1])
+        if all(after[1] >= before[1] - CLOCK_SET_BACK_NS for before, after in pairwise(found)):
+            found.sort(key=lambda item: item[1])
         return iter(found)
 
     def _read_loose(self, wanted: dict[int, Channel], start_ns: int) -> Iterator[RawBytes]:
