@@ -156,6 +156,8 @@ def open_run_graph(folder: Path | str) -> RunGraph:
     config = load_config(folder / "config.toml")
     store = KeyframeStore.open(folder / KEYFRAMES)
     ledger = read_ledger(folder / "loops.csv", config.loops)
+    if not len(store):
+        raise FormatError(folder / KEYFRAMES, "holds no whole keyframe; the store is damaged, run it again")
     T_odom = np.stack([store.T_odom_imu(index) for index in range(len(store))])
     T = _levelled(facts, T_odom)
     fixes = None
