@@ -34,6 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "geodesy": set(),
     "guard": {"errors", "config"},
     "plugins": {"errors"},
+    "support": {"errors", "atomic"},
     "config_checks": {"errors"},
     "config_registration": {"errors", "config_checks"},
     "config": {"errors", "config_checks", "config_registration"},
@@ -57,6 +58,7 @@ ALLOWED: dict[str, set[str]] = {
     "metrics": COMMON | SENSING,
     "checks": COMMON | SENSING | {"metrics"},
     "output": COMMON | SENSING | {"io", "maps", "checks"},
+    "comparison": COMMON | SENSING | {"io", "metrics"},
     "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output", "repair"},
     "examination": COMMON | SLAM | {"io", "checks"},
     "repair": COMMON | SLAM | {"calibration", "checks", "examination"},
@@ -65,7 +67,7 @@ ALLOWED: dict[str, set[str]] = {
     "cli": COMMON
     | SLAM
     | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report"}
-    | {"revision", "survey", "lab"},
+    | {"comparison", "revision", "support", "survey", "lab"},
 }
 """Room below `heliograph` -> the rooms that it may import."""
 

@@ -22,6 +22,7 @@ from heliograph.io.files.clouds import write_cloud
 from heliograph.maps import GlobalMap
 from heliograph.output.facts import graph_facts
 from heliograph.output.final_poses import FinalPoses
+from heliograph.output.manifest import hashed_files
 from heliograph.output.scan_log import rewrite_scans
 from heliograph.output.trajectories import FILES, rewrite
 from heliograph.slam import KEYFRAMES, BackEnd, KeyframeStore
@@ -125,6 +126,8 @@ class RunGraph:
             if (self.folder / _SCANS).is_file():
                 p = rewrite_scans(self.folder / _SCANS, moved, folder / _SCANS)
                 facts["start_end_gap_m"] = float(np.linalg.norm(p[-1] - p[0])) if len(p) else 0.0
+            new = {entry["name"]: entry for entry in hashed_files(sorted(folder.iterdir()))}
+            facts["outputs"] = [new.get(entry["name"], entry) for entry in facts.get("outputs", ())]
             write_text(folder / "run.json", json.dumps(facts, indent=2) + "\n")
         return account
 

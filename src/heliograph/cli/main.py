@@ -11,7 +11,22 @@ from typing import Annotated
 
 import typer
 
-from heliograph.cli import align, calibrate, check, demo, evaluate, info, lab, loops, run, simulate, solve, survey
+from heliograph.cli import (
+    align,
+    calibrate,
+    check,
+    compare,
+    demo,
+    evaluate,
+    info,
+    lab,
+    loops,
+    run,
+    simulate,
+    solve,
+    support,
+    survey,
+)
 from heliograph.cli.interrupt import EndedError, ends_in_order
 from heliograph.cli.options import PluggableCommand
 from heliograph.cli.terminal import guarded_streams
@@ -38,11 +53,13 @@ app.command("info", cls=PluggableCommand, short_help="What a recording holds and
 app.command("check", short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
 app.command("loops", short_help="A run's loops: list, explain, revoke, add by hand.")(loops.loops)
 app.command("survey", short_help="A run in a coordinate system, tied to control points.")(survey.survey)
+app.command("compare", short_help="Runs side by side: distances, maps, loops, settings that differ.")(compare.compare)
 app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
 app.command("calibrate", short_help="Mounting and clock of LiDAR and IMU, or the IMU's noise.")(calibrate.calibrate)
 app.command("align", short_help="Two clouds: pose, overlap, and what was not observable.")(align.align)
 app.command("solve", short_help="A pose graph in, its most likely poses out.")(solve.solve)
 app.command("simulate", short_help="A recording with ground truth.")(simulate.simulate)
+app.command("support", short_help="What a bug report needs of a run, without points or paths.")(support.support)
 app.command("demo", short_help="Simulate, map, evaluate: see it work.")(demo.demo)
 app.command("lab", short_help="The lesson's experiments in the browser.")(lab.lab)
 

@@ -142,15 +142,22 @@ def _folder(
 
     from heliograph.config_toml import dump_config
     from heliograph.output.facts import plain, versions
+    from heliograph.output.manifest import hashed_inputs
     from heliograph.output.run_folder import RunFolder
     from heliograph.pipeline import sensors_in_use, thread_count
     from heliograph.report import write_report
 
     known_versions, name = versions(), paths[0].resolve().stem
+    inputs = hashed_inputs(paths, config.output.hash_inputs)
 
     def facts() -> dict[str, Any]:
         recorded = plain(recording.summary())
-        return {"inferences": recorded.pop("inferences", []), "recording": recorded, "versions": known_versions}
+        return {
+            "inferences": recorded.pop("inferences", []),
+            "recording": recorded,
+            "inputs": inputs,
+            "versions": known_versions,
+        }
 
     return RunFolder(
         output or Path(f"{name}_heliograph"),

@@ -17,10 +17,16 @@ from heliograph.data import GraphAccount, SensorRepair, StartAccount
 from heliograph.output.blind_spans import BlindSpan
 from heliograph.output.georeference import gnss_facts
 from heliograph.output.level import Level
+from heliograph.output.manifest import hashed_files
+from heliograph.output.reasons import Reason, next_action, reason_facts
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 
-__all__ = ["final_facts", "graph_facts", "peak_memory_mb", "versions"]
+__all__ = ["RUN_SCHEMA", "final_facts", "graph_facts", "peak_memory_mb", "versions"]
+
+
+RUN_SCHEMA = "heliograph run 1"
+"""Schema of ``run.json``, see run.schema.json beside this file: names may be added, none changes or goes."""
 
 
 def versions() -> dict[str, str]:
@@ -80,13 +86,18 @@ def final_facts(
     summary = record.summary
     failure = summary.failure or "; ".join(str(failure) for failure in failures)
     # A run of which something is not there is none that is well, however well its scans went.
-    incomplete = bool(failure) and summary.status == "ok"
+    status = "incomplete" if failure and summary.status == "ok" else summary.status
+    ended = [Reason("failure", f"it did not end, or not all could be written: {failure}")] if failure else []
+    reasons = [*summary.reasons, *ended]
     account = {
-        "status": "incomplete" if incomplete else summary.status,
-        "reasons": [
-            *summary.reasons,
-            *([f"it did not end, or not all could be written: {failure}"] if failure else []),
-        ],
+        "schema": RUN_SCHEMA,
+        "status": status,
+        "reasons": reasons,
+        "verdict": {
+            "code": status,
+            "reasons": reason_facts(reasons),
+            "action": next_action(status, reasons, failure),
+        },
         "interrupted": summary.interrupted,
         "failure": failure,
         "sensors": list(summary.sensors),
@@ -114,6 +125,7 @@ def final_facts(
         **facts,
         "folder": str(record.folder),
         "files": [path.name for path in files],
+        "outputs": hashed_files(path for path in files if path.name != "run.json"),
     }
     return {key: plain(value) for key, value in account.items()}
 
