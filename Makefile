@@ -6,9 +6,9 @@ STAMP := $(VENV)/.installed
 BUILD_TOOLS := "scikit-build-core>=1.1" "nanobind>=3.1,<4" "cmeel-eigen>=3.4,<4" "cmake>=3.20" ninja
 NATIVE := $(shell find cpp CMakeLists.txt pyproject.toml -type f)
 
-.PHONY: help env build demo test test-slow lint types rooms mutants sanitize bench clean
+.PHONY: help env build demo test test-slow lint types rooms mutants sanitize fuzz bench clean
 help:
-	@echo "make demo | test | test-slow | lint | types | rooms | mutants | sanitize | bench | clean"
+	@echo "make demo | test | test-slow | lint | types | rooms | mutants | sanitize | fuzz | bench | clean"
 
 $(VENV)/.tools:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Heliograph needs Python 3.10 or newer; set PYTHON=")'
@@ -50,6 +50,12 @@ sanitize: $(VENV)/.tools
 	  -DCMAKE_CXX_FLAGS="-O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer" >/dev/null
 	PATH="$(abspath $(BIN)):$$PATH" cmake --build build/sanitize
 	./build/sanitize/heliograph_checks
+
+# Files of every kind, spoilt and read, each in a child with limits: for so long, or so many cases where CASES is given.
+SECONDS ?= 120
+SEED ?= 1
+fuzz: $(STAMP)
+	PYTHONPATH=tests:. $(BIN)/python -m tests.fuzz --seed $(SEED) $(if $(CASES),--cases $(CASES) --seconds 0,--seconds $(SECONDS))
 
 # Rivals pin what Heliograph does not, so they live in an environment of their own.
 RIVALS := build/bench-venv

@@ -22,6 +22,7 @@ from benchmarks import (
     kitti,
     lio,
     loam,
+    loop_misled,
     loops,
     match_scores,
     outliers,
@@ -172,6 +173,7 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
     if "loops" in wanted:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["loops"]))
         _write("loops", loops.measure_loops(arguments.data.parent / "keyframes", seeds=seeds))
+        _write("loop_misled", loop_misled.measure_misled(seeds))
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ from heliograph.sim.sensors import LidarModel, measure_ranges
 from heliograph.sim.world import SimulatedWorld, box, rectangle
 from heliograph.slam.loops import loop_align_config
 
-__all__ = ["WORLDS", "DriftingOdometry", "KeyframeSet", "partners", "read_keyframes"]
+__all__ = ["WORLDS", "DriftingOdometry", "KeyframeSet", "corridors", "partners", "read_keyframes"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,6 +154,16 @@ def building(seed: int) -> KeyframeSet:
     corners += [(right, c, low), (left, c, low)]
     world = SimulatedWorld(list(storeys_world(rng)))
     return _walk("building", world, _along(corners), LidarModel(beams=32, columns=256, max_range=60.0), rng)
+
+
+def corridors(seed: int) -> KeyframeSet:
+    """Walk a corridor, its twin back, and the first once more: the same way, or the other way for odd seeds."""
+    rng = np.random.default_rng([5, seed])
+    a, b, low, left, right = 0.0, STOREYS_PITCH, 1.2, -1.2, STOREYS_LENGTH + 1.2
+    corners = [(left, a, low), (right, a, low), (right, b, low), (left, b, low)]
+    corners += [(right, b, low), (right, a, low), (left, a, low)] if seed % 2 else [(left, a, low), (right, a, low)]
+    world = SimulatedWorld(list(storeys_world(rng)))
+    return _walk("corridors", world, _along(corners), LidarModel(beams=32, columns=256, max_range=60.0), rng)
 
 
 def warehouse_laps(seed: int) -> KeyframeSet:

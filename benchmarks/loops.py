@@ -19,9 +19,9 @@ from heliograph.config import RunConfig
 from heliograph.lie import se3
 from heliograph.metrics.trajectory import Association, absolute_trajectory_error
 from heliograph.slam import BackEnd, KeyframeStore
-from heliograph.slam.loops import Ledger, LoopEvidence
+from heliograph.slam.loops import Ledger
 
-__all__ = ["loops_section", "measure_loops"]
+__all__ = ["is_right", "loops_section", "measure_loops"]
 
 _RIGHT_M, _RIGHT_DEG = 0.5, 5.0
 _PARTNER = 0.3
@@ -55,9 +55,15 @@ def run_session(odometry: DriftingOdometry, config: RunConfig) -> _Account:
     return account
 
 
-def _error(evidence: LoopEvidence, truth: KeyframeSet) -> tuple[float, float]:
-    T = se3.inverse(truth.T_world_imu[evidence.match]) @ truth.T_world_imu[evidence.query]
-    d = se3.log(se3.inverse(T) @ evidence.T_match_query)
+def is_right(match: int, query: int, T_match_query: Array, truth: KeyframeSet) -> bool:
+    """Whether a relative pose is the true one, within half a metre and five degrees."""
+    metres, degrees = _error(match, query, T_match_query, truth)
+    return metres <= _RIGHT_M and degrees <= _RIGHT_DEG
+
+
+def _error(match: int, query: int, T_match_query: Array, truth: KeyframeSet) -> tuple[float, float]:
+    T = se3.inverse(truth.T_world_imu[match]) @ truth.T_world_imu[query]
+    d = se3.log(se3.inverse(T) @ T_match_query)
     return float(np.linalg.norm(d[3:])), float(np.degrees(np.linalg.norm(d[:3])))
 
 
@@ -66,7 +72,7 @@ def score_session(account: _Account, odometry: DriftingOdometry, overlap: NDArra
     truth, ledger = odometry.keyframes, account.ledger
     wanted = set(np.flatnonzero((overlap > _PARTNER).any(axis=1)).tolist())
     accepted = [entry.evidence for entry in ledger.accepted()]
-    errors = [_error(evidence, truth) for evidence in accepted]
+    errors = [_error(e.match, e.query, e.T_match_query, truth) for e in accepted]
     right = [m <= _RIGHT_M and deg <= _RIGHT_DEG for m, deg in errors]
     found = {e.query for e, ok in zip(accepted, right, strict=True) if ok} & wanted
     top = [any(overlap[k, m] > _PARTNER for m in account.places.get(k, ())) for k in sorted(wanted)]

@@ -65,13 +65,14 @@ def survey(name, seed, *, rotation_deg=0.02, position=0.003, gnss=None, duration
     return Survey(simulation, simulation.receiver(), scans, T_scans, scans[picked], chain, T_true)
 
 
-def georeferenced(world, *, config=None, antenna="given"):
+def georeferenced(world, *, config=None, antenna="given", until=np.inf):
     """Return the fixes' collaborator and the smoother after a survey, as the back-end uses them."""
     fixes = GnssFactors(config or RunConfig(), world.antenna if antenna == "given" else antenna)
     for stamp, T in zip(world.scans_ns.tolist(), world.T_odom_scans, strict=True):
         fixes.track.append(stamp, T)
     for fix in world.log.fixes():
-        fixes.observe(fix)
+        if fix.stamp_ns <= world.log.stamps_ns[0] + 1e9 * until:
+            fixes.observe(fix)
     smoother, graph, values = ISAM2(), FactorGraph(), Values()
     T, keys = world.chain.T_odom_imu, X(np.arange(len(world.chain)))
     values.insert(keys, SE3(T))

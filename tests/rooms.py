@@ -17,7 +17,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "heliograph"
 
 # What everybody may import; `atomic`, `chi_square`, `plugins`, `config` and its helpers know only the errors,
 # `geodesy` nothing.
-COMMON = {"arrays", "atomic", "chi_square", "errors", "geodesy", "plugins", "_core"}
+COMMON = {"arrays", "atomic", "chi_square", "errors", "geodesy", "guard", "plugins", "_core"}
 COMMON |= {"config", "config_checks", "config_registration", "config_toml"}
 SENSING = {"lie", "data"}
 ODOMETRY = SENSING | {"cloud", "imu", "maps", "registration"}
@@ -32,7 +32,9 @@ ALLOWED: dict[str, set[str]] = {
     "atomic": {"errors"},
     "chi_square": {"errors"},
     "geodesy": set(),
+    "guard": {"errors", "config"},
     "plugins": {"errors"},
+    "support": {"errors", "atomic"},
     "config_checks": {"errors"},
     "config_registration": {"errors", "config_checks"},
     "config": {"errors", "config_checks", "config_registration"},
@@ -55,15 +57,17 @@ ALLOWED: dict[str, set[str]] = {
     "sim": COMMON | SENSING,
     "metrics": COMMON | SENSING,
     "checks": COMMON | SENSING | {"metrics"},
-    "output": COMMON | SENSING | {"io", "maps"},
-    "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output"},
+    "output": COMMON | SENSING | {"io", "maps", "checks"},
+    "comparison": COMMON | SENSING | {"io", "metrics"},
+    "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output", "repair"},
     "examination": COMMON | SLAM | {"io", "checks"},
+    "repair": COMMON | SLAM | {"calibration", "checks", "examination"},
     "report": COMMON | SENSING | {"imu", "io", "calibration", "output", "checks", "metrics"},
     "lab": COMMON | SLAM | {"sim", "metrics", "slam"},
     "cli": COMMON
     | SLAM
     | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report"}
-    | {"revision", "survey", "lab"},
+    | {"comparison", "revision", "support", "survey", "lab"},
 }
 """Room below `heliograph` -> the rooms that it may import."""
 

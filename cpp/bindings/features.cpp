@@ -51,16 +51,15 @@ Tuple features(const Points& points, const Offsets& order, const Offsets& starts
 
 FeatureMatches matched(const FeatureMap& map, const Points& points, const Matrix4& T, double sigma, int threads) {
   return unlocked([&] {
-    return FeatureMatches{map.kind(), match_features(map, {span_of(points), {}, T.data()}, sigma, threads)};
+    return FeatureMatches{map.kind(), match_features(map, {span_of(points), T.data()}, sigma, threads)};
   });
 }
 
-Tuple summed(const FeatureMatches& matches, const Points& points, const Floats& share, const Matrix4& T, double gate, double kernel,
-             double sigma, int threads) {
+Tuple summed(const FeatureMatches& matches, const Points& points, const Matrix4& T, double gate, double kernel, double sigma,
+             int threads) {
   if (matches.found.size() != points.shape(0)) throw std::invalid_argument("one match a point is needed");
-  if (share.size() != 0 && share.size() != points.shape(0)) throw std::invalid_argument("one share a point is needed, or none");
   const NormalEquations sums = unlocked([&] {
-    return sum_features(matches.kind, matches.found, {span_of(points), span_of(share), T.data()}, gate, kernel, sigma, threads);
+    return sum_features(matches.kind, matches.found, {span_of(points), T.data()}, gate, kernel, sigma, threads);
   });
   std::vector<double> information(sums.information, sums.information + 36), gradient(sums.gradient, sums.gradient + 6);
   std::vector<double> feigned(sums.feigned, sums.feigned + 36);
@@ -97,8 +96,8 @@ void bind_features(nb::module_& m) {
   nb::class_<FeatureMatches>(m, "FeatureMatches")
       .def("__len__", [](const FeatureMatches& matches) { return matches.found.size(); })
       .def("table", &table)
-      .def("sum", &summed, "points_body"_a.noconvert(), "share"_a.noconvert(), "T_odom_body"_a.noconvert(), "gate"_a, "kernel"_a,
-           "sigma"_a, "threads"_a);
+      .def("sum", &summed, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "gate"_a, "kernel"_a, "sigma"_a,
+           "threads"_a);
   nb::class_<FeatureMap>(m, "FeatureMap")
       .def("__init__",
            [](FeatureMap* self, bool edges, double voxel, int max_points, int neighbours, double reach, double max_thickness, double min_spread) {

@@ -141,6 +141,32 @@ auto add_single_factors(SharedTree& t, const nb::list& staged) {
   }));
 }
 
+// What a saved state is compared with. Families are (manifold, dof) pairs; a kind is (type, rows, form of noise, kernel, doubles of a
+// measurement, arity), then its families, up to the largest arity.
+constexpr size_t kKindNumbers = 6 + 2 * kMaxArity;
+
+std::vector<int32_t> variable_families(const BayesTree& tree) {
+  std::vector<int32_t> out;
+  for (int32_t v = 0; static_cast<size_t>(v) < tree.slots(); ++v) {
+    const auto [manifold, dof] = tree.family(v);
+    out.insert(out.end(), {static_cast<int32_t>(manifold), dof});
+  }
+  return out;
+}
+
+std::vector<int32_t> kind_table(const BayesTree& tree) {
+  std::vector<int32_t> out;
+  for (const FactorGroup& kind : tree.all_kinds()) {
+    const size_t begin = out.size();
+    out.insert(out.end(), {static_cast<int32_t>(kind.type), kind.rows, static_cast<int32_t>(kind.noise),
+                           static_cast<int32_t>(kind.kernel), kind.measurement_size, kind.arity});
+    for (size_t a = 0; a < static_cast<size_t>(kind.arity); ++a)
+      out.insert(out.end(), {static_cast<int32_t>(kind.manifold[a]), kind.dof[a]});
+    out.resize(begin + kKindNumbers, -1);
+  }
+  return out;
+}
+
 nb::bytes save(SharedTree& t) {
   const std::vector<uint8_t> bytes = t.call([](BayesTree& tree) { return tree.save(); });
   return nb::bytes(reinterpret_cast<const char*>(bytes.data()), bytes.size());
@@ -288,6 +314,25 @@ void bind_answers(nb::class_<SharedTree>& bound) {
       .def_prop_ro("solves", number(&BayesTree::solves))
       .def("save", &save)
       .def("load", &load, "state"_a)
+      .def("variable_families", [](SharedTree& t) {
+             auto flat = t.call([](BayesTree& tree) { return variable_families(tree); });
+             const size_t n = flat.size() / 2;
+             return to_numpy<int32_t>(std::move(flat), {n, 2});
+           })
+      .def("kind_table", [](SharedTree& t) {
+             auto flat = t.call([](BayesTree& tree) { return kind_table(tree); });
+             const size_t n = flat.size() / kKindNumbers;
+             return to_numpy<int32_t>(std::move(flat), {n, kKindNumbers});
+           })
+      .def("factor_kinds", [](SharedTree& t) {  // by number: the kind, -1 where there is none, and whether it is let go
+             auto flat = t.call([](BayesTree& tree) {
+               std::vector<int32_t> kinds;
+               for (const TreeFactor& factor : tree.all_factors()) kinds.insert(kinds.end(), {factor.kind, factor.let_go});
+               return kinds;
+             });
+             const size_t n = flat.size() / 2;
+             return to_numpy<int32_t>(std::move(flat), {n, 2});
+           })
       .def("bytes", [](SharedTree& t) { return t.call([](BayesTree& tree) { return tree.bytes(); }); })
       .def_prop_ro("variables", number(&BayesTree::variables))
       .def_prop_ro("slots", number(&BayesTree::slots))

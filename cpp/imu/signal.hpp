@@ -34,7 +34,8 @@ struct ImuModel {
 constexpr size_t kImuModelNumbers = 10;
 
 inline ImuModel imu_model(const double* k) {
-  return {k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], static_cast<int64_t>(k[8]), static_cast<int64_t>(k[9])};
+  const auto whole = [](double ns) { return static_cast<int64_t>(std::min(ns, 1e18)); };
+  return {k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], whole(k[8]), whole(k[9])};
 }
 
 struct ImuStep {
@@ -78,15 +79,13 @@ class ImuWalk {
   }
 
  private:
-  // From the last knot, a sample or the start, to the next, a sample or the end: all that is the same in between.
+  // From the last knot, a sample or the start, to the next, a sample or the end: all that is the same in between. A stretch that
+  // is coasted through is one step, whatever its length: neither turned nor pushed, all sums over it are exact. So what a gap
+  // costs does not grow with what the stamps say.
   void open_span() {
     const auto& s = samples_.stamps_ns;
     while (next_ < s.size() && s[next_] <= knot_) ++next_;
-    const int64_t until = next_ < s.size() ? std::min(s[next_], end_) : end_;
-    span_ = until - knot_;
-    // The tolerance keeps a nominal period with jitter from being split in two.
-    parts_ = std::max<int64_t>(1, (span_ + step_ns_ - 1 - step_ns_ / 4) / step_ns_);
-    part_ = 0;
+    int64_t until = next_ < s.size() ? std::min(s[next_], end_) : end_;
     gyro_var_ = model_.gyro_var;
     accel_var_ = model_.accel_var;
     held_ = next_ == 0 || next_ == s.size();
@@ -98,17 +97,27 @@ class ImuWalk {
       gyro_var_ += missed * (gyro(next_) - gyro(next_ - 1)).squaredNorm();
       accel_var_ += missed * (accel(next_) - accel(next_ - 1)).squaredNorm();
     }
+    coasting_ = false;
     if (held_) {
       gyro_var_ += model_.held_gyro_var;
       accel_var_ += model_.held_accel_var;
+      const int64_t left = next_ > 0 ? s[next_ - 1] + model_.hold_ns : INT64_MIN;
+      const int64_t right = next_ < s.size() ? s[next_] - model_.hold_ns : INT64_MAX;
+      coasting_ = left <= knot_ && knot_ < right;
+      if (coasting_) until = std::min(until, right);
+      if (knot_ < left && left < right) until = std::min(until, left);
     }
+    span_ = until - knot_;
+    // The tolerance keeps a nominal period with jitter from being split in two.
+    parts_ = coasting_ ? 1 : std::max<int64_t>(1, (span_ + step_ns_ - 1 - step_ns_ / 4) / step_ns_);
+    part_ = 0;
   }
 
   void read(int64_t t, ImuStep& step) const {
     const auto& s = samples_.stamps_ns;
     const int64_t before = next_ == 0 ? INT64_MAX : t - s[next_ - 1];
     const int64_t until = next_ == s.size() ? INT64_MAX : s[next_] - t;
-    step.coasting = held_ && std::min(before, until) > model_.hold_ns;
+    step.coasting = coasting_;
     if (held_) {
       const size_t nearest = before <= until ? next_ - 1 : next_;
       step.gyro = gyro(nearest);
@@ -129,7 +138,7 @@ class ImuWalk {
   int64_t from_, knot_, span_ = 0, parts_ = 0, part_ = 0;
   size_t next_ = 0;  // the first sample after the last knot
   double gyro_var_ = 0.0, accel_var_ = 0.0;
-  bool held_ = false;
+  bool held_ = false, coasting_ = false;
 };
 
 // Of a step's small angle five terms of the series are exact to the last bit.

@@ -17,11 +17,10 @@ struct Row {
 };
 
 // What moves a point along `n`: the rotation, a right perturbation, and the position.
-Row row_along(const double* n, const double* p, const double* T, double share) {
+Row row_along(const double* n, const double* p, const double* T) {
   double m[3];
   for (int i = 0; i < 3; ++i) m[i] = T[i] * n[0] + T[4 + i] * n[1] + T[8 + i] * n[2];
-  return {{share * (p[1] * m[2] - p[2] * m[1]), share * (p[2] * m[0] - p[0] * m[2]), share * (p[0] * m[1] - p[1] * m[0]),
-           share * n[0], share * n[1], share * n[2]}};
+  return {{p[1] * m[2] - p[2] * m[1], p[2] * m[0] - p[0] * m[2], p[0] * m[1] - p[1] * m[0], n[0], n[1], n[2]}};
 }
 
 // Two unit vectors across a unit vector and each other; the axis it leans on least makes the first.
@@ -51,7 +50,7 @@ struct Sums {
   double gate, kernel, sigma;
   NormalEquations out;
 
-  void add(const FeatureMatch& match, const float* point, double share, const double* T) {
+  void add(const FeatureMatch& match, const float* point, const double* T) {
     const double p[3] = {static_cast<double>(point[0]), static_cast<double>(point[1]), static_cast<double>(point[2])};
     double d[3], a[3], b[3];
     for (int i = 0; i < 3; ++i) d[i] = T[4 * i] * p[0] + T[4 * i + 1] * p[1] + T[4 * i + 2] * p[2] + T[4 * i + 3] - match.point[i];
@@ -68,17 +67,17 @@ struct Sums {
     const double c2 = kernel * kernel, ratio = c2 > 0.0 ? c2 / (c2 + square) : 1.0;
     const double w = ratio * ratio, inverse = 1.0 / (sigma * sigma + match.variance), weight = w * inverse;
     for (int k = 0; k < rows; ++k) {
-      const Row row = row_along(directions[k], p, T, share);
+      const Row row = row_along(directions[k], p, T);
       add_outer(row, weight, out.information);
       for (int i = 0; i < 6; ++i) out.gradient[i] += weight * r[k] * row.J[i];
     }
     // A tilt moves a plane's normal along either direction across it; of an edge, each row's normal along the line.
     const double noise = weight * match.tilt;
     if (edge) {
-      add_outer(row_along(match.axis, p, T, share), 2.0 * noise, out.feigned);
+      add_outer(row_along(match.axis, p, T), 2.0 * noise, out.feigned);
     } else {
-      add_outer(row_along(a, p, T, share), noise, out.feigned);
-      add_outer(row_along(b, p, T, share), noise, out.feigned);
+      add_outer(row_along(a, p, T), noise, out.feigned);
+      add_outer(row_along(b, p, T), noise, out.feigned);
     }
     out.feigned_square += noise * noise;
     out.weight += rows * weight;
@@ -113,8 +112,7 @@ NormalEquations sum_features(FeatureKind kind, std::span<const FeatureMatch> mat
   parallel_chunks(chunks, threads, [&](size_t chunk) {
     for (size_t k = chunk * kChunk; k < std::min(count, (chunk + 1) * kChunk); ++k)
       if (matches[k].found)
-        partial[chunk].add(matches[k], scan.points_body.data() + 3 * k,
-                           scan.share.empty() ? 1.0 : static_cast<double>(scan.share[k]), scan.T_odom_body);
+        partial[chunk].add(matches[k], scan.points_body.data() + 3 * k, scan.T_odom_body);
   });
   NormalEquations total;
   for (const Sums& part : partial) {

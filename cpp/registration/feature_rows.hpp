@@ -12,7 +12,6 @@ namespace heliograph {
 
 struct FeatureScan {
   std::span<const float> points_body;  // (N, 3)
-  std::span<const float> share;        // (N,): the part of the pose's error that moves each point; empty: all of it
   const double* T_odom_body;           // row-major 4x4
 };
 

@@ -18,6 +18,7 @@
 // One function a room; main.cpp calls them all.
 void check_alignment();
 void check_cloud();
+void check_forged_tree();
 void check_graph_files();
 void check_graph_ordering();
 void check_graph_solver();

@@ -9,6 +9,7 @@ int main() {
   check_graph_solver();
   check_graph_factors();
   check_graph_tree();
+  check_forged_tree();
   check_imu();
   check_io();
   check_maps();

@@ -27,6 +27,8 @@ _REMEDIES = {
 }
 
 RUN_MARKER = "run.json"
+LOCK = ".heliograph.lock"
+"""Stands in a folder while a run writes it; what a killed run left behind locks nothing."""
 
 
 def output_error(path: Path | str, error: OSError) -> OutputError:
@@ -154,7 +156,7 @@ def check_output_directory(path: Path | str, overwrite: bool = False) -> Path:
         if path.exists() and not path.is_dir():
             raise OutputError(f"cannot write {path}: it is a file, not a folder; choose another folder with -o")
         path.mkdir(parents=True, exist_ok=True)
-        entries = sum(1 for _ in path.iterdir())
+        entries = sum(1 for entry in path.iterdir() if entry.name != LOCK)
         if entries and not overwrite:
             kind = "holds an earlier run" if (path / RUN_MARKER).exists() else "is not empty"
             raise OutputError(

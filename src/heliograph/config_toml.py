@@ -26,6 +26,7 @@ else:
 __all__ = ["apply_overrides", "build", "dump_config", "field_docs", "keys", "load_config"]
 
 C = TypeVar("C")
+_MAX_SHOWN = 80  # characters of a value in a message
 Value = Any  # what TOML can hold: the types are checked where the values are used
 
 
@@ -45,7 +46,7 @@ def load_config(path: Path | str) -> RunConfig:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: the configuration cannot be read ({error.strerror}); check the path") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of numbers of thousands of digits
         raise FormatError(path, f"not valid TOML ({error})") from error
     try:
         return build(RunConfig, values)
@@ -181,7 +182,7 @@ def _set(values: dict[str, Value], root: type, key: str, text: str) -> None:
 def _parse(kind: Any, text: str) -> Value:  # noqa: ANN401 - a type, and whatever the text holds
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text
     # A bare 5 or true is still a string where a string is wanted.
     return text if kind is str and not isinstance(value, str) else value
@@ -191,14 +192,16 @@ def _convert(kind: Any, value: Value, key: str) -> Value:  # noqa: ANN401 - a ty
     """Return the value as the field's type, or raise with the key; nothing is converted but int to float."""
     if _is_section(kind):
         if not isinstance(value, Mapping):
-            raise ConfigError(f"{key} = {value!r} is not a table; write a [{key}] section")
+            raise ConfigError(f"{key} = {_shown(value)} is not a table; write a [{key}] section")
         return build(kind, value, section=key)
     if typing.get_origin(kind) is tuple:
         return _convert_tuple(kind, value, key)
+    if isinstance(value, int) and abs(value) >= 1 << 63:
+        raise ConfigError(f"{key} = {_shown(value)} is beyond any number that is meant")
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if type(value) is not kind:
-        raise ConfigError(f"{key} = {value!r} is {_noun(type(value))}; it must be {_noun(kind)}")
+        raise ConfigError(f"{key} = {_shown(value)} is {_noun(type(value))}; it must be {_noun(kind)}")
     if kind is float and math.isnan(value):
         raise ConfigError(f"{key} = nan; it must be a number")
     if kind is float and math.isinf(value):
@@ -208,15 +211,21 @@ def _convert(kind: Any, value: Value, key: str) -> Value:  # noqa: ANN401 - a ty
 
 def _convert_tuple(kind: Any, value: Value, key: str) -> tuple[Value, ...]:  # noqa: ANN401 - a type, a file's value
     if not isinstance(value, (list, tuple)):
-        raise ConfigError(f"{key} = {value!r} is {_noun(type(value))}; it must be a list")
+        raise ConfigError(f"{key} = {_shown(value)} is {_noun(type(value))}; it must be a list")
     entries = typing.get_args(kind)
     if len(entries) == 2 and entries[1] is Ellipsis:
         entries = (entries[0],) * len(value)
     if len(entries) != len(value):
-        raise ConfigError(f"{key} = {value!r} has {len(value)} entries; it must have {len(entries)}")
+        raise ConfigError(f"{key} = {_shown(value)} has {len(value)} entries; it must have {len(entries)}")
     return tuple(
         _convert(entry, item, f"{key}[{i}]") for i, (entry, item) in enumerate(zip(entries, value, strict=True))
     )
+
+
+def _shown(value: Value) -> str:
+    """Return a value for a message, of bounded length whatever a file holds."""
+    text = repr(value)
+    return text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
 
 
 def _noun(kind: type) -> str:

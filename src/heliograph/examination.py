@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.checks import CheckedMotion, CheckReport, check_imu
 from heliograph.config import RunConfig
-from heliograph.data import Scan, ScanResult, Trajectory
+from heliograph.data import Scan, ScanResult, Source, Trajectory
 from heliograph.errors import DataError
 from heliograph.io import Recording
 from heliograph.lie import so3
@@ -101,7 +101,7 @@ def examine_imu(
 
 
 def lidar_motion(
-    recording: Recording,
+    recording: Source,
     config: RunConfig,
     *,
     threads: int = 1,

@@ -14,17 +14,32 @@ from pathlib import Path
 import numpy as np
 
 from heliograph.calibration import align_mounting
+from heliograph.checks import Finding, RunWatch
 from heliograph.config import GnssConfig, RunConfig
-from heliograph.data import Event, GnssFix, ImuBatch, Message, Rig, Scan, ScanResult, Source, WheelSpeeds
+from heliograph.data import (
+    Event,
+    GnssFix,
+    GraphAccount,
+    ImuBatch,
+    Message,
+    Rig,
+    Scan,
+    ScanResult,
+    SensorRepair,
+    Source,
+    WheelSpeeds,
+)
 from heliograph.errors import CalibrationError, ConfigError, DataError
 from heliograph.io.files.fixes import read_fixes
 from heliograph.io.files.poses import is_pose_file, read_poses
 from heliograph.io.files.wheels import read_wheel_speeds
 from heliograph.io.prefetch import prefetch
 from heliograph.odometry import Odometry, PoseFileOdometry, make_odometry
+from heliograph.output.blind_spans import BlindSpan
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.sink import Sink
-from heliograph.output.summary import RunSummary, Tally, judge
+from heliograph.output.summary import RunSummary, Tally, doubts_of, judge
+from heliograph.repair import RepairedSource, find_repairs
 from heliograph.slam import NoSlam, SlamSession
 
 __all__ = ["run", "sensors_in_use", "thread_count"]
@@ -68,8 +83,39 @@ def run(
     if config.gnss.use and config.gnss.file:
         read_fixes(config.gnss.file, near_ns=1)  # what is wrong with it is told before the work begins
     speeds = wheel_speeds(config)
-    account = Account(sinks, opening_seconds)
-    clock, sensors, threads = account.clock, sensors_in_use(recording, config), thread_count(config)
+    clock, source, repairs = Clock(opening_seconds), recording, tuple[SensorRepair, ...]()
+    mends = config.input.repair and odometry is None and not is_pose_file(config.odometry)
+    if mends and any(event.code == "clock-mismatch" for event in recording.events):
+        source, repairs = repaired(recording, config, clock, sure=True)
+        mends = False
+    account = attempt(source, config, sinks, clock, speeds, stop=stop, odometry=odometry, folder=folder, watchful=mends)
+    if account.suspicious:  # the data contradict each other: see whether that can be mended, and begin anew
+        source, repairs = repaired(recording, config, clock)
+        for sink in sinks:
+            sink.restart()
+        account = attempt(
+            source, config, sinks, clock, speeds, stop=stop, odometry=odometry, folder=folder, watchful=False
+        )
+    summary = replace(account.summary, repairs=repairs)
+    account.close(summary)  # 7. every sink ends with what it has; a failure goes on from here
+    return summary
+
+
+def attempt(
+    recording: Source,
+    config: RunConfig,
+    sinks: Sequence[Sink],
+    clock: Clock,
+    speeds: WheelSpeeds | None,
+    *,
+    stop: Callable[[], bool],
+    odometry: Odometry | None,
+    folder: Path | None,
+    watchful: bool,
+) -> Account:
+    """Run once through a recording; a watchful one ends when its data contradict each other."""
+    sensors, threads = sensors_in_use(recording, config), thread_count(config)
+    account = Account(sinks, clock, RunWatch(sensors, config.check), watchful=watchful and recording.repeatable)
     rig, found = mounted(recording, config, sensors, threads, clock, stop)  # 0. align the sensors where nothing tells
     odometry = odometry or chosen_odometry(config, rig, sensors, threads)
     with back_end(folder, config, sensors, rig) as slam:
@@ -85,20 +131,30 @@ def run(
                 with clock("graph"):
                     slam.add(results)  # 3. keyframes, and the graph of them
                 account.add(results)  # 4. count and write them
-                if stop():
-                    account.interrupted = True
+                if account.suspicious or stop():
+                    account.interrupted = not account.suspicious
                     break
             with clock("odometry"):
                 results = odometry.finish()  # 5. nothing more comes: the scans that were waiting for it
             with clock("graph"):
                 slam.finish(results)
             account.add(results)
+        account.end()
+        if account.suspicious:
+            return account
         account.tally.add_events((*unsolved(recording.events, found), *odometry.events, *slam.events))
-        summary = account.conclude(
-            sensors, odometry, slam, config
-        )  # 6. how good is it, and where has it been after all
-    account.close(summary)  # 7. every sink ends with what it has; a failure goes on from here
-    return summary
+        account.conclude(sensors, odometry, slam, config)  # 6. how good is it, and where has it been after all
+    return account
+
+
+def repaired(
+    recording: Source, config: RunConfig, clock: Clock, *, sure: bool = False
+) -> tuple[Source, tuple[SensorRepair, ...]]:
+    """Return the recording as it can be mended, and how; itself and nothing where it cannot."""
+    with clock("repairs"):
+        repairs = find_repairs(recording, config, threads=thread_count(config), sure=sure)
+    mended: Source = RepairedSource(recording, repairs) if repairs else recording
+    return mended, repairs
 
 
 @contextmanager
@@ -271,13 +327,18 @@ class Account:
     Parameters
     ----------
     sinks : sequence of Sink
-    opening_seconds : float
-        What opening the recording took [s].
+    clock : Clock
+    watch : RunWatch
+        Sees messages and results, and gives the verdicts.
+    watchful : bool
+        Whether the run is to end where the watch finds that the data contradict each other.
     """
 
-    def __init__(self, sinks: Sequence[Sink], opening_seconds: float) -> None:
-        self.clock, self.tally = Clock(opening_seconds), Tally()
+    def __init__(self, sinks: Sequence[Sink], clock: Clock, watch: RunWatch, *, watchful: bool) -> None:
+        self.clock, self.tally, self.watch = clock, Tally(), watch
+        self.summary = RunSummary()
         self.interrupted = False
+        self._watchful = watchful
         self.failure: Exception | None = None
         self._sinks = sinks
 
@@ -292,32 +353,51 @@ class Account:
             self.failure = error
 
     def observe(self, message: Message, slam: SlamSession | NoSlam) -> None:
-        """Show a message to the back-end and to the sinks."""
+        """Show a message to the back-end, to the checks and to the sinks."""
         slam.observe(message)
+        self.watch.observe(message)
         with self.clock("writing"):
             for sink in self._sinks:
                 sink.observe(message)
 
     def add(self, results: Sequence[ScanResult]) -> None:
-        """Count the results and hand them to the sinks."""
+        """Count the results, let the checks look at them, and hand them to the sinks."""
+        with self.clock("checks"):
+            for result in results:
+                self.watch.add(result)
         with self.clock("writing"):
             for result in results:
                 self.tally.add(result)
                 for sink in self._sinks:
                     sink.add(result)
 
+    @property
+    def suspicious(self) -> bool:
+        """Whether the run's data contradict each other so early that it had better begin anew."""
+        return self._watchful and not self.interrupted and self.failure is None and self.watch.contradicted
+
+    def end(self) -> None:
+        """Let the checks look at what the end cut off."""
+        with self.clock("checks"):
+            try:
+                self.watch.close()
+            except Exception as error:  # what a check cannot cope with must not cost the result
+                self.failure = self.failure or error
+
     def conclude(
         self, sensors: frozenset[str], odometry: Odometry, slam: SlamSession | NoSlam, config: RunConfig
-    ) -> RunSummary:
-        """Return the run's summary: what was counted, the verdict, the timings, and where it has been after all."""
+    ) -> None:
+        """Make the run's summary: what was counted, the verdict, the timings, and where it has been after all."""
         tally, graph, moved = self.tally, None, None
         try:
             graph, moved = slam.close(), slam.moved()
         except Exception as error:
             self.failure = self.failure or error
-        failure, final = self.failure, None if moved is None else FinalPoses(**moved._asdict())
+        final = None if moved is None else FinalPoses(**moved._asdict())
         T_map_odom = np.asarray(odometry.leveling(), dtype=np.float64)
         blind = tally.blind.all(T_map_odom[:3, :3])
+        gap = None if final is None else tally.gap(final)
+        findings, failure = self._verdicts(blind, odometry, graph, gap), self.failure
         status, reasons = judge(
             tally.statuses,
             sensors=sensors,
@@ -326,9 +406,9 @@ class Account:
             interrupted=self.interrupted,
             blind=blind,
             budget=config.check.max_blind_growth,
-            doubts=slam.doubts,
+            doubts=(*slam.doubts, *doubts_of(findings, tally.summary().events)),
         )
-        return tally.summary(
+        self.summary = tally.summary(
             status=status,
             reasons=reasons,
             interrupted=self.interrupted,
@@ -338,11 +418,30 @@ class Account:
             wall_seconds=self.clock.wall,
             seconds=dict(self.clock.seconds),
             T_map_odom=T_map_odom,
-            **({} if final is None else {"final_poses": final, "start_end_gap": tally.gap(final)}),
+            **({} if final is None else {"final_poses": final, "start_end_gap": gap}),
+            findings=findings,
             graph=graph,
             start=odometry.start,
             failure="" if failure is None else str(failure) or type(failure).__name__,
         )
+
+    def _verdicts(
+        self, blind: Sequence[BlindSpan], odometry: Odometry, graph: GraphAccount | None, gap: float | None
+    ) -> tuple[Finding, ...]:
+        counted = self.tally.summary()
+        with self.clock("checks"):
+            try:
+                return self.watch.verdicts(
+                    start=odometry.start,
+                    graph=graph,
+                    blind=[(str(span), span.growth) for span in blind],
+                    level_sigma=counted.level.sigma if counted.level.known else float("nan"),
+                    distance=counted.distance,
+                    gap=counted.start_end_gap if gap is None else gap,
+                )
+            except Exception as error:
+                self.failure = self.failure or error
+                return ()
 
     def close(self, summary: RunSummary) -> None:
         """Close every sink, also after one of them failed; then raise what failed, of a sink before of the run.

@@ -74,7 +74,13 @@ def import_named(kind: str, reference: str) -> Any:  # noqa: ANN401 - whatever t
     return found
 
 
-def call_plugin(kind: str, name: str, function: Any, *arguments: object) -> Any:  # noqa: ANN401 - a user's function
+def call_plugin(
+    kind: str,
+    name: str,
+    function: Any,  # noqa: ANN401 - a user's function
+    *arguments: object,
+    **keywords: object,
+) -> Any:  # noqa: ANN401
     """Call what `find_plugin` returned; a failure of a user's function is told as such, one of ours is not hidden.
 
     Raises
@@ -85,9 +91,9 @@ def call_plugin(kind: str, name: str, function: Any, *arguments: object) -> Any:
     if not callable(function):
         raise ConfigError(f"{kind} '{name}' is no function that makes one, but a {type(function).__name__}")
     if str(getattr(function, "__module__", "")).partition(".")[0] == "heliograph":
-        return function(*arguments)
+        return function(*arguments, **keywords)
     try:
-        return function(*arguments)
+        return function(*arguments, **keywords)
     except HeliographError:
         raise
     except Exception as error:  # a user's function may fail in any way

@@ -22,6 +22,7 @@ from heliograph.io.files.clouds import write_cloud
 from heliograph.maps import GlobalMap
 from heliograph.output.facts import graph_facts
 from heliograph.output.final_poses import FinalPoses
+from heliograph.output.manifest import hashed_files
 from heliograph.output.scan_log import rewrite_scans
 from heliograph.output.trajectories import FILES, rewrite
 from heliograph.slam import KEYFRAMES, BackEnd, KeyframeStore
@@ -125,6 +126,8 @@ class RunGraph:
             if (self.folder / _SCANS).is_file():
                 p = rewrite_scans(self.folder / _SCANS, moved, folder / _SCANS)
                 facts["start_end_gap_m"] = float(np.linalg.norm(p[-1] - p[0])) if len(p) else 0.0
+            new = {entry["name"]: entry for entry in hashed_files(sorted(folder.iterdir()))}
+            facts["outputs"] = [new.get(entry["name"], entry) for entry in facts.get("outputs", ())]
             write_text(folder / "run.json", json.dumps(facts, indent=2) + "\n")
         return account
 
@@ -156,6 +159,8 @@ def open_run_graph(folder: Path | str) -> RunGraph:
     config = load_config(folder / "config.toml")
     store = KeyframeStore.open(folder / KEYFRAMES)
     ledger = read_ledger(folder / "loops.csv", config.loops)
+    if not len(store):
+        raise FormatError(folder / KEYFRAMES, "holds no whole keyframe; the store is damaged, run it again")
     T_odom = np.stack([store.T_odom_imu(index) for index in range(len(store))])
     T = _levelled(facts, T_odom)
     fixes = None
@@ -174,7 +179,7 @@ def _facts(folder: Path) -> dict[str, Any]:
     path = folder / "run.json"
     try:
         facts = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise FormatError(folder, f"is no folder of a run (run.json: {error}); name what `run` wrote") from error
     if not isinstance(facts, dict):
         raise FormatError(path, "is no account of a run; name the folder that `run` wrote")

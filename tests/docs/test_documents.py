@@ -63,7 +63,7 @@ def test_documents_settings_exist(name):
     known = set(keys(RunConfig))
     sections = "|".join({key.split(".")[0] for key in known if "." in key})
     files = "ply|pcd|laz|png|pgw|py|csv|g2o|npz"
-    for key in re.findall(rf"(?:`|--set )((?:{sections})\.(?!{files})[a-z_]+)", (ROOT / name).read_text()):
+    for key in re.findall(rf"(?:`|--set )((?:{sections})\.(?!{files})[a-z_.]*[a-z_])", (ROOT / name).read_text()):
         assert key in known, key
 
 

@@ -162,7 +162,7 @@ def test_align_clouds_names_the_corridor_blind():
 
 def test_ros2_node_runs_on_a_recorded_stream_without_ros(short_recording, monkeypatch):
     """The messages are those that rosbags makes of the file: the fields that rclpy's have too."""
-    from mcap.reader import make_reader
+    from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     monkeypatch.syspath_prepend(EXAMPLES)
@@ -173,12 +173,11 @@ def test_ros2_node_runs_on_a_recorded_stream_without_ros(short_recording, monkey
         rig = recording.rig
     store, results, states = get_typestore(Stores.ROS2_HUMBLE), [], []
     bridge = Bridge(rig, results.append, max_waiting=99)
-    with bridge.live, (short_recording / "recording.mcap").open("rb") as file:
-        for schema, _, message in make_reader(file).iter_messages():
-            if schema.name.endswith(("/PointCloud2", "/Imu")):
-                name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
-                found = store.deserialize_cdr(message.data, name)
-                if schema.name.endswith("/Imu"):
+    with bridge.live, AnyReader([short_recording], default_typestore=store) as reader:
+        for connection, _, data in reader.messages():
+            if connection.msgtype.endswith(("/PointCloud2", "/Imu")):
+                found = reader.deserialize(data, connection.msgtype)
+                if connection.msgtype.endswith("/Imu"):
                     states.append(bridge.on_imu(found))
                 else:
                     bridge.on_points(found)

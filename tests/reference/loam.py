@@ -136,12 +136,11 @@ def match_slowly(cells, query, sigma, *, edges, neighbours, reach, max_thickness
     return axis, centre, variance + tilt * aside, tilt
 
 
-def sums_slowly(matches, points, T, *, edges, gate, kernel, sigma, share=None):
+def sums_slowly(matches, points, T, *, edges, gate, kernel, sigma):
     """Return information, gradient and feigned information of matches, each as `match_slowly` returns it."""
     H, b, F = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
     R, t = T[:3, :3], T[:3, 3]
-    share = np.ones(len(points)) if share is None else share
-    for p, match, s in zip(points.astype(np.float64), matches, share, strict=True):
+    for p, match in zip(points.astype(np.float64), matches, strict=True):
         if match is None:
             continue
         axis, centre, variance, tilt = match
@@ -151,8 +150,8 @@ def sums_slowly(matches, points, T, *, edges, gate, kernel, sigma, share=None):
         if r @ r > gate**2:
             continue
 
-        def row(n, p=p, s=s):
-            return s * np.concatenate([np.cross(p, R.T @ n), n])
+        def row(n, p=p):
+            return np.concatenate([np.cross(p, R.T @ n), n])
 
         w = (kernel**2 / (kernel**2 + r @ r)) ** 2 / (sigma**2 + variance)
         for n, e in zip(normals, r, strict=True):

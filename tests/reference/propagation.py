@@ -12,21 +12,32 @@ def hat(w):
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
-def time_grid(stamps_ns, t0, t1, max_step):
-    """Start, samples inside, end; what is longer than a step and a quarter is cut into equal parts."""
-    knots = sorted({t0, t1, *(int(t) for t in stamps_ns if t0 < t < t1)})
+def coasted(stamps_ns, t0, t1, config):
+    """The stretches that are too far from any sample: before the first, in gaps, after the last."""
+    hold, far = int(1e9 * config.hold), 10**19
+    ends = [t0 - far, *(int(t) for t in stamps_ns), t1 + far]
+    gaps = [(a, b) for a, b in pairwise(ends) if b - a > int(1e9 * config.max_gap)]
+    return [(a + hold, b - hold) for a, b in gaps if a + hold < b - hold]
+
+
+def time_grid(stamps_ns, t0, t1, config):
+    """Start, samples inside, where coasting begins and ends, end; what is longer than a step and a quarter is divided
+    into equal parts, but not what is coasted through."""
+    coasts = coasted(stamps_ns, t0, t1, config)
+    knots = sorted({t0, t1, *(int(t) for t in (*stamps_ns, *(t for pair in coasts for t in pair)) if t0 < t < t1)})
     grid = [t0]
     for a, b in pairwise(knots):
         parts = 1
-        while (b - a) > (parts + 0.25) * max_step * 1e9:
-            parts += 1
+        if not any(left <= a and b <= right for left, right in coasts):
+            while (b - a) > (parts + 0.25) * config.max_step * 1e9:
+                parts += 1
         grid += [a + (b - a) * k // parts for k in range(1, parts + 1)]
     return np.array(grid, dtype=np.int64)
 
 
 def propagate_slowly(imu, state, end_ns, *, noise, config, g_basis):
     """Return stamps, rotations, positions, velocities, transition (17, 17), noise (17, 17), held seconds."""
-    grid = time_grid(imu.stamps_ns, state.stamp_ns, end_ns, config.max_step)
+    grid = time_grid(imu.stamps_ns, state.stamp_ns, end_ns, config)
     R, p, v = state.R_odom_imu, state.p_odom, state.v_odom
     path, transition, added, held_s = [(R, p, v)], np.eye(17), np.zeros((17, 17)), 0.0
     for a, b in pairwise(grid):

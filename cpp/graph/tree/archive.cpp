@@ -6,6 +6,8 @@
 #include <type_traits>
 #include <utility>
 
+#include "graph/tree/soundness.hpp"
+
 namespace heliograph {
 
 namespace {
@@ -35,11 +37,12 @@ class Writer {
     const auto* from = static_cast<const uint8_t*>(data);
     bytes_.insert(bytes_.end(), from, from + size);
   }
-  size_t count(size_t n) {
+  size_t count(size_t n, size_t) {
     uint64_t wide = n;
     raw(&wide, sizeof(wide));
     return n;
   }
+  void expect_doubles(size_t) const {}
   std::vector<uint8_t> take() {
     uint64_t sum = checksum(bytes_);
     raw(&sum, sizeof(sum));
@@ -67,11 +70,15 @@ class Reader {
     if (size > 0) std::memcpy(data, bytes_.data(), size);
     bytes_ = bytes_.subspan(size);
   }
-  size_t count(size_t) {
+  // Of things that take at least so many bytes each: no more memory is asked for than the file's size allows.
+  size_t count(size_t, size_t bytes) {
     uint64_t wide = 0;
     raw(&wide, sizeof(wide));
-    if (wide > bytes_.size()) damaged();  // nothing takes less than a byte
+    if (wide > bytes_.size() / bytes) damaged();
     return static_cast<size_t>(wide);
+  }
+  void expect_doubles(size_t n) const {
+    if (n > bytes_.size() / sizeof(double)) damaged();
   }
   bool done() const { return bytes_.empty(); }
 
@@ -88,7 +95,7 @@ void plain(Archive& with, T&... values) {
 template <typename Archive, typename... T>
 void arrays(Archive& with, std::vector<T>&... values) {
   const auto one = [&](auto& stack) {
-    const size_t n = with.count(stack.size());
+    const size_t n = with.count(stack.size(), sizeof(stack[0]));
     if constexpr (Archive::reads) stack.resize(n);
     with.raw(stack.data(), n * sizeof(stack[0]));
   };
@@ -97,6 +104,7 @@ void arrays(Archive& with, std::vector<T>&... values) {
 
 template <typename Archive>
 void block(Archive& with, BlockPool& pool, double*& at, size_t size) {
+  with.expect_doubles(size);
   if constexpr (Archive::reads) at = size > 0 ? pool.take(size) : nullptr;
   with.raw(at, size * sizeof(double));
 }
@@ -105,13 +113,16 @@ template <typename Archive>
 void whole_kind(Archive& with, FactorGroup& kind) {
   plain(with, kind.type, kind.arity, kind.rows, kind.manifold, kind.dof, kind.storage, kind.count, kind.measurement_size, kind.noise,
         kind.kernel, kind.kernel_width);
+  if (kind.arity < 1 || kind.arity > kMaxArity) damaged();  // the sizes of its factors' blocks follow from these
+  for (size_t a = 0; a < static_cast<size_t>(kind.arity); ++a)
+    if (kind.dof[a] < 1 || kind.dof[a] > kMaxDof) damaged();
   arrays(with, kind.variables, kind.values, kind.measurement, kind.sqrt_information, kind.weight, kind.residual);
   for (std::vector<double>& jacobian : kind.jacobian) arrays(with, jacobian);
 }
 
 template <typename Archive>
 void saved_variables(Archive& with, std::vector<SavedVariable>& all) {
-  all.resize(with.count(all.size()));
+  all.resize(with.count(all.size(), sizeof(int32_t) + 2 * sizeof(uint64_t)));
   for (SavedVariable& saved : all) {
     plain(with, saved.variable);
     arrays(with, saved.theta, saved.delta);
@@ -124,9 +135,13 @@ void whole_clique(Archive& with, BlockPool& pool, Clique& clique) {
         clique.rows, clique.height, clique.update_height, clique.flagged, clique.unsolved, clique.deferred, clique.solved);
   arrays(with, clique.nodes);
   if (clique.nodes.empty()) return;  // not in use
+  if (Archive::reads && (clique.pivots < 0 || clique.rows < 0 || clique.height < 0 || clique.update_height < 0)) damaged();
   block(with, pool, clique.factor, clique.factor_doubles());
   block(with, pool, clique.update, clique.update_doubles());
 }
+
+// What one takes in a file at least [bytes].
+constexpr size_t kLeastKind = 200, kLeastFactor = 17, kLeastClique = 54;
 
 // The layout, one list for both ways.
 template <typename Archive>
@@ -141,15 +156,18 @@ void whole_tree(Archive& with, StoredTree& tree) {
   arrays(with, top.affected, top.orphans, top.factors, journal.put_back, kept_order);
   for (std::vector<int32_t>& free : v.free) arrays(with, free);
   saved_variables(with, journal.slice_saved);
-  plain(with, top.update_number, steps.solve_number, counts, top.open, v.free_count, steps.eliminated, steps.wildfire,
+  uint8_t open = top.open ? 1 : 0;
+  plain(with, top.update_number, steps.solve_number, counts, open, v.free_count, steps.eliminated, steps.wildfire,
         steps.relinearize);
-  factors.kinds.resize(with.count(factors.kinds.size()));
+  if (open > 1) damaged();
+  top.open = open != 0;
+  factors.kinds.resize(with.count(factors.kinds.size(), kLeastKind));
   factors.free_rows.resize(factors.kinds.size());
   for (size_t k = 0; k < factors.kinds.size(); ++k) {
     whole_kind(with, factors.kinds[k]);
     arrays(with, factors.free_rows[k]);
   }
-  factors.factors.resize(with.count(factors.factors.size()));
+  factors.factors.resize(with.count(factors.factors.size(), kLeastFactor));
   for (TreeFactor& factor : factors.factors) {
     plain(with, factor.kind, factor.index, factor.clique, factor.next, factor.stale);
     if (mark == kMark) plain(with, factor.let_go);
@@ -157,40 +175,8 @@ void whole_tree(Archive& with, StoredTree& tree) {
     if (static_cast<size_t>(factor.kind) >= factors.kinds.size()) damaged();
     block(with, factors.blocks, factor.block, block_size(factors.kinds[static_cast<size_t>(factor.kind)]));
   }
-  cliques.all.resize(with.count(cliques.all.size()));
+  cliques.all.resize(with.count(cliques.all.size(), kLeastClique));
   for (Clique& clique : cliques.all) whole_clique(with, cliques.blocks, clique);
-}
-
-void check_indices(const std::vector<int32_t>& indices, size_t size) {
-  for (const int32_t index : indices)
-    if (index < -1 || (index >= 0 && static_cast<size_t>(index) >= size)) damaged();
-}
-
-// Whoever gets past the checksum wrote it on purpose; sizes that would be read out of bounds are refused all the same.
-void check(const StoredTree& tree) {
-  const TreeVariables::Stored& v = tree.variables;
-  const size_t variables = v.dof.size(), cliques = tree.cliques.all.size(), factors = tree.factors.factors.size();
-  for (const size_t size : {v.manifold.size(), v.theta_at.size(), v.delta_at.size(), v.clique_of.size(), v.changed.size(),
-                            v.fluid_flag.size(), v.held.size(), v.frozen.size()})
-    if (size != variables) damaged();
-  for (const std::vector<int32_t>& free : v.free) check_indices(free, variables);
-  for (const std::vector<int32_t>* list : {&v.fluid, &tree.top.affected, &tree.journal.put_back, &tree.kept_order})
-    check_indices(*list, variables);
-  for (const SavedVariable& saved : tree.journal.slice_saved) check_indices({saved.variable}, variables);
-  for (const std::vector<int32_t>* list : {&v.clique_of, &tree.cliques.free, &tree.cliques.roots, &tree.top.orphans,
-                                           &tree.steps.made, &tree.steps.attached, &tree.steps.deferred})
-    check_indices(*list, cliques);
-  check_indices(tree.top.factors, factors);
-  check_indices(tree.factors.free, factors);
-  for (const Clique& clique : tree.cliques.all) {
-    check_indices({clique.parent, clique.child, clique.next, clique.previous}, cliques);
-    check_indices({clique.first_factor}, factors);
-    check_indices(clique.nodes, variables);
-  }
-  for (const TreeFactor& factor : tree.factors.factors) {
-    check_indices({factor.clique}, cliques);
-    check_indices({factor.next}, factors);
-  }
 }
 
 }  // namespace
@@ -205,7 +191,7 @@ void read_tree(StoredTree tree, std::span<const uint8_t> bytes) {
   Reader reader(bytes);
   whole_tree(reader, tree);
   if (!reader.done()) damaged();
-  check(tree);
+  check_tree(tree);
 }
 
 }  // namespace heliograph

@@ -129,6 +129,11 @@ class BayesTree {
   std::vector<double> joint_covariance(std::span<const int32_t> variables) const;
   const std::vector<int32_t>& made() const { return steps_.made(); }  // cliques of the last update
   const std::vector<Clique>& all_cliques() const { return store_.cliques.all(); }
+  const std::vector<FactorGroup>& all_kinds() const { return store_.factors.kinds(); }
+  const std::vector<TreeFactor>& all_factors() const { return store_.factors.all(); }
+  std::pair<Manifold, int> family(int32_t variable) const {
+    return {store_.variables.manifold(variable), store_.variables.dof(variable)};
+  }
   size_t bytes() const { return store_.variables.bytes() + store_.factors.bytes() + store_.cliques.bytes(); }
 
   // The whole state between updates as bytes, and back.

@@ -47,6 +47,8 @@ class TreeFactors {
   bool has(std::span<const int32_t> factors) const;
   size_t count() const { return factors_.size() - free_.size(); }
   bool has_kinds() const { return !kinds_.empty(); }
+  const std::vector<FactorGroup>& kinds() const { return kinds_; }
+  const std::vector<TreeFactor>& all() const { return factors_; }  // those of no kind are not in use
   TreeFactor& operator[](int32_t factor) { return factors_[at(factor)]; }
   const TreeFactor& operator[](int32_t factor) const { return factors_[at(factor)]; }
   const FactorGroup& kind_of(const TreeFactor& factor) const { return kinds_[at(factor.kind)]; }

@@ -11,8 +11,6 @@ namespace {
 
 constexpr int kFamilies = 7 * (kMaxDof + 1);
 
-size_t family_of(Manifold manifold, int dof) { return static_cast<size_t>(static_cast<int>(manifold) * (kMaxDof + 1) + dof); }
-
 }  // namespace
 
 TreeVariables::TreeVariables() : free_(static_cast<size_t>(kFamilies)) {}

@@ -30,6 +30,7 @@ class TreeVariables {
   size_t count() const { return dof_.size() - free_count_; }
   bool has_slot(int32_t v) const { return v >= 0 && at(v) < dof_.size(); }
 
+  Manifold manifold(int32_t v) const { return manifold_[at(v)]; }
   int dof(int32_t v) const { return dof_[at(v)]; }
   int storage(int32_t v) const { return storage_of(manifold_[at(v)], dof_[at(v)]); }
   const std::vector<int32_t>& dofs() const { return dof_; }
@@ -69,6 +70,11 @@ class TreeVariables {
   std::vector<int32_t> draw_fluid(double threshold, size_t max, bool farthest_first);
 
   size_t bytes() const;
+
+  // Which list of numbers that may be given again.
+  static size_t family_of(Manifold manifold, int dof) {
+    return static_cast<size_t>(static_cast<int>(manifold) * (kMaxDof + 1) + dof);
+  }
 
   // What a file holds of it.
   struct Stored {

@@ -10,15 +10,22 @@ from heliograph.checks.records import (
     Number,
     worst,
 )
+from heliograph.checks.run_watch import RunWatch
+from heliograph.checks.verdicts import RUN_CHECKS, VERDICT_WORDS, RunEvidence, check_run
 
 __all__ = [
     "IMU_CHECKS",
+    "RUN_CHECKS",
     "VERDICTS",
+    "VERDICT_WORDS",
     "CheckReport",
     "CheckedMotion",
     "Finding",
     "ImuRecord",
     "Number",
+    "RunEvidence",
+    "RunWatch",
     "check_imu",
+    "check_run",
     "worst",
 ]

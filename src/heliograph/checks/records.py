@@ -90,6 +90,8 @@ class Finding:
         When it happened, where it happened at instants; the first few [ns].
     consequence : bool
         Whether it usually follows from another finding, which is then the one to act on.
+    picture : str
+        Where a run's folder shows it; empty where nothing does.
     """
 
     code: str
@@ -100,6 +102,7 @@ class Finding:
     numbers: tuple[Number, ...] = ()
     stamps_ns: tuple[int, ...] = ()
     consequence: bool = False
+    picture: str = ""
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:

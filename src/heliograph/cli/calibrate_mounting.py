@@ -164,11 +164,10 @@ def _sigma(axis: CalibratedAxis) -> str:
 
 
 def _show(found: Calibration, facts: dict[str, Any]) -> None:
-    from rich.console import Console
-
     from heliograph.cli.info import print_table
+    from heliograph.cli.terminal import console as words_console
 
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 200, soft_wrap=False)
+    console = words_console()
     clock = found.rig.clock
     print(
         f"calibrated from {found.scans} scans over {found.duration:.1f} s in {found.passes} rounds; "

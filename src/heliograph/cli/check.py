@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from heliograph.cli import options
+from heliograph.cli import options, terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,10 +40,13 @@ def check(
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Check a recording's IMU: units, axes, clock, gaps, saturation, vibration, each with a remedy."""
+    """Check a recording's IMU, each fault with a remedy; of a run's folder, read its six verdicts."""
     from heliograph.examination import examine_imu
     from heliograph.pipeline import thread_count
 
+    if len(recordings) == 1 and (recordings[0] / "run.json").is_file():
+        _show_run(recordings[0], json=json, quiet=quiet)
+        return
     resolved = options.build_config(
         config,
         settings,
@@ -68,7 +71,7 @@ def _open(paths: list[Path], config: RunConfig) -> tuple[Recording, str]:
 
     for path in paths:
         if (path / "run.json").is_file():
-            raise DataError(f"{path} is the folder of a run; give the recording that it was made from")
+            raise DataError(f"{path} is the folder of a run: give it alone to read its verdicts, or give recordings")
     try:
         return open_recording(paths, config.input), ""
     except DataError as error:
@@ -76,6 +79,30 @@ def _open(paths: list[Path], config: RunConfig) -> tuple[Recording, str]:
             return open_recording(paths, config.input, sensors="imu"), f"the LiDAR cannot be used: {error}"
         except DataError:
             raise error from None
+
+
+def _show_run(folder: Path, *, json: bool, quiet: bool) -> None:
+    """Print the verdicts that a run came to, and its status."""
+    from heliograph.cli.closing import check_lines
+    from heliograph.errors import DataError
+
+    try:
+        facts = jsonlib.loads((folder / "run.json").read_text(encoding="utf-8"))
+        checks, status, reasons = facts["checks"], facts["status"], facts["reasons"]
+    except (OSError, ValueError, KeyError, TypeError):
+        raise DataError(
+            f"{folder} holds no verdicts: its run has not ended, or was made before runs gave any; run it again"
+        ) from None
+    if json:
+        typer.echo(jsonlib.dumps({"status": status, "reasons": reasons, "checks": checks}, allow_nan=False))
+        return
+    if not quiet:
+        for check in checks:
+            remedy = f"\n    -> {check['remedy']}" if check["remedy"] else ""
+            typer.echo(f"{check['verdict']:<11} {check['title']}: {check['evidence']}{remedy}")
+    else:
+        typer.echo("\n".join(check_lines(checks)))
+    typer.echo(f"status: {status}" + "".join(f"; {reason}" for reason in reasons))
 
 
 @contextmanager
@@ -86,16 +113,14 @@ def _watching(*, shown: bool) -> Iterator[Watcher]:
         return
     from rich.console import Console
 
-    with Console(stderr=True).status("reading the recording") as status:
+    with Console(file=terminal.raw(sys.stderr)).status("reading the recording") as status:
         yield lambda what, done: status.update(f"checking: {done} {what}")
 
 
 def _show(report: CheckReport, *, quiet: bool) -> None:
-    from rich.console import Console
     from rich.markup import escape
 
-    # Where the output goes to a file or a pipe, rows must not be folded at the width of a terminal that is not there.
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 200, soft_wrap=False)
+    console = terminal.console()
     if not quiet:
         _head(console, report)
         _table(console, report.findings)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-__all__ = ["closing_lines", "print_closing", "times", "warning_lines"]
+__all__ = ["check_lines", "closing_lines", "print_closing", "times", "warning_lines"]
 
 
 def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
@@ -22,8 +22,10 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
         Where the files lie.
     """
     timings, weakest = facts["timings"], facts["weakest"]
+    # What is written after the last scan is told apart, so it is no part of a scan's time.
+    later = {"writing": timings.get("closing_s", 0.0)}
     parts = ", ".join(
-        f"{name} {1e3 * timings.get(f'{name}_s', 0.0) / facts['scans']:.1f}"
+        f"{name} {1e3 * max(timings.get(f'{name}_s', 0.0) - later.get(name, 0.0), 0.0) / facts['scans']:.1f}"
         for name in ("reading", "odometry", "graph", "writing")
         if f"{name}_s" in timings
     )
@@ -51,10 +53,24 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
             f"blind for {span['distance_m']:.0f} m at scans {span['scans'][0]} to {span['scans'][1]}: one-sigma along "
             f"it {span['sigma_before_m']:.3f} m before, {span['sigma_after_m']:.3f} m after"
         )
+    lines += check_lines(facts.get("checks", []))
     lines.append(f"written to {folder}: {', '.join(facts['files'])}")
     lines.append(f"report: {folder / 'report.html'}")
     lines.append(f"status: {facts['status']}" + "".join(f"; {reason}" for reason in facts["reasons"]))
     return lines
+
+
+def check_lines(checks: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the verdicts of the checks: all in one line, then one line with the remedy for each that is no PASS."""
+    if not checks:
+        return []
+    lines = ["checks: " + ", ".join(f"{check['title']} {check['verdict']}" for check in checks)]
+    return lines + [
+        f"  {check['verdict']} {check['title']}: {check['evidence']}"
+        + (f" -> {check['remedy']}" if check["remedy"] else "")
+        for check in checks
+        if check["verdict"] in ("WARN", "FAIL")
+    ]
 
 
 def _graph_line(graph: Mapping[str, Any]) -> str:

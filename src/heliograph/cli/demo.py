@@ -51,4 +51,4 @@ def demo(
         typer.echo("against the truth:\n  " + "\n  ".join(evaluation_lines(result)))
         typer.echo(f"open {folder / 'report.html'} in a browser")
     if interrupted:
-        raise typer.Exit(130)
+        raise typer.Exit(interrupted)

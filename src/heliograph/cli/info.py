@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json as jsonlib
-import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import typer
 
-from heliograph.cli import options
+from heliograph.cli import options, terminal
 from heliograph.cli.closing import times
 
 if TYPE_CHECKING:
@@ -50,10 +49,7 @@ def info(
 
 
 def _show(report: InfoReport) -> None:
-    from rich.console import Console
-
-    # Where the output goes to a file or a pipe, rows must not be folded at the width of a terminal that is not there.
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else 200, soft_wrap=False)
+    console = terminal.console()
     fields = f", fields {' '.join(report.fields)}" if report.fields else ""
     console.print(f"[bold]{_plain(report.recording)}[/]  {report.duration_s:.1f} s")
     if report.points_per_scan:

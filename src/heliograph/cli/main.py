@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import traceback
@@ -10,10 +11,26 @@ from typing import Annotated
 
 import typer
 
-from heliograph import _core
-from heliograph.cli import align, calibrate, check, demo, evaluate, info, lab, loops, run, simulate, solve, survey
+from heliograph.cli import (
+    align,
+    calibrate,
+    check,
+    compare,
+    demo,
+    evaluate,
+    info,
+    lab,
+    loops,
+    run,
+    simulate,
+    solve,
+    support,
+    survey,
+)
+from heliograph.cli.interrupt import EndedError, ends_in_order
 from heliograph.cli.options import PluggableCommand
-from heliograph.errors import HeliographError
+from heliograph.cli.terminal import guarded_streams
+from heliograph.errors import HeliographError, OutputError
 
 __all__ = ["app", "main"]
 
@@ -26,7 +43,7 @@ app = typer.Typer(
     name="heliograph",
     help="LiDAR-inertial mapping: a recording goes in, a trajectory and a de-skewed map come out.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
@@ -36,11 +53,13 @@ app.command("info", cls=PluggableCommand, short_help="What a recording holds and
 app.command("check", short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
 app.command("loops", short_help="A run's loops: list, explain, revoke, add by hand.")(loops.loops)
 app.command("survey", short_help="A run in a coordinate system, tied to control points.")(survey.survey)
+app.command("compare", short_help="Runs side by side: distances, maps, loops, settings that differ.")(compare.compare)
 app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
 app.command("calibrate", short_help="Mounting and clock of LiDAR and IMU, or the IMU's noise.")(calibrate.calibrate)
 app.command("align", short_help="Two clouds: pose, overlap, and what was not observable.")(align.align)
 app.command("solve", short_help="A pose graph in, its most likely poses out.")(solve.solve)
 app.command("simulate", short_help="A recording with ground truth.")(simulate.simulate)
+app.command("support", short_help="What a bug report needs of a run, without points or paths.")(support.support)
 app.command("demo", short_help="Simulate, map, evaluate: see it work.")(demo.demo)
 app.command("lab", short_help="The lesson's experiments in the browser.")(lab.lab)
 
@@ -67,15 +86,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 done (warnings included), 2 bad input or usage, 130 interrupted, 1 a defect of Heliograph.
+        0 done (warnings included), 2 bad input or usage, 130 interrupted (129 and 143: by SIGHUP and SIGTERM), 1 a
+        defect of Heliograph.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
-    if not arguments:
-        arguments = ["--help"]
-    try:
-        _core.instruction_set()
-    except ValueError as error:  # HELIOGRAPH_ISA names a path that is not there
-        return _fail(str(error))
+    with guarded_streams(), ends_in_order():
+        return _outcome(arguments or ["--help"])
+
+
+def _outcome(arguments: list[str]) -> int:
+    if os.environ.get("HELIOGRAPH_ISA"):  # else there is nothing to check, and help loads no native code
+        from heliograph import _core
+
+        try:
+            _core.instruction_set()
+        except ValueError as error:  # it names a path that is not there
+            return _fail(str(error))
     try:
         code = app(arguments, standalone_mode=False)
         sys.stdout.flush()
@@ -83,6 +109,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error))
     except ClickError as error:
         return _fail(_usage(error))
+    except EndedError as ended:
+        return _fail(f"ended by {ended}", ended.code)
     except (KeyboardInterrupt, typer.Abort):
         return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:  # `heliograph info ... | head`: the reader has what it wanted
@@ -95,7 +123,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _fail(message: str, code: int = BAD_INPUT) -> int:
-    print("error:", " ".join(message.split()), file=sys.stderr)
+    with contextlib.suppress(OSError, OutputError):  # nobody hears it: the exit code still tells
+        print("error:", " ".join(message.split()), file=sys.stderr)
     return code
 
 

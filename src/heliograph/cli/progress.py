@@ -6,6 +6,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from heliograph.cli.terminal import plain, raw
 from heliograph.data import ScanResult
 from heliograph.output import RunSummary, Sink
 
@@ -30,10 +31,10 @@ class ProgressSink(Sink):
     """
 
     def __init__(self, total: int | None, label: str) -> None:
-        self.total, self.label = total, label
+        self.total, self.label = total, plain(label)
         self._done = 0
         self._start = self._shown = time.monotonic()
-        self._bar = _bar(total, label) if sys.stderr.isatty() else None
+        self._bar = _bar(total, self.label) if sys.stderr.isatty() else None
 
     def add(self, result: ScanResult) -> None:  # noqa: ARG002 - the protocol's; only that it came counts
         """Count one scan."""
@@ -47,6 +48,10 @@ class ProgressSink(Sink):
             of = f" of {self.total}" if self.total else ""
             left = f", {(self.total - self._done) / self._rate(now):.0f} s left" if self.total else ""
             print(f"{self.label}: {self._done}{of} scans, {self._rate(now):.0f} a second{left}", file=sys.stderr)
+
+    def restart(self) -> None:
+        """Count from nothing again."""
+        self._done, self._start = 0, time.monotonic()
 
     def close(self, summary: RunSummary) -> None:  # noqa: ARG002 - the protocol's
         """End the bar."""
@@ -65,9 +70,9 @@ def _bar(total: int | None, label: str) -> Progress:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("scans"),
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TextColumn("scans"),
         TextColumn("{task.fields[rate]:.0f} scans/s"), TimeRemainingColumn(),
-        console=Console(stderr=True), auto_refresh=False,
+        console=Console(file=raw(sys.stderr)), auto_refresh=False,
     )  # fmt: skip
     bar.start()
     bar.add_task(label, total=total, rate=0.0)

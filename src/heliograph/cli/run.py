@@ -63,6 +63,7 @@ def run(
         str | None,
         typer.Option("--crs", metavar="NAME", help="Deliver in a coordinate system too: local, utm, EPSG:25832 ..."),
     ] = None,
+    no_repair: Annotated[bool, typer.Option("--no-repair", help="Mend no fault of the data, however plain.")] = False,
     map_format: Annotated[MapFormat | None, typer.Option("--map-format", help="Format of the map file.")] = None,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
@@ -74,7 +75,10 @@ def run(
         config,
         settings,
         run={"odometry": odometry, "sensors": options.sensor_list(sensors), "threads": threads},
-        input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration, reader),
+        input={
+            **options.input_options(lidar_topic, imu_topic, extrinsic, start, duration, reader),
+            "repair": False if no_repair else None,
+        },
         slam={"graph": False if no_graph else None, "loops": False if no_loops else None},
         wheels={"file": None if wheels is None else str(wheels)},
         gnss={"use": False if no_gnss else None, "file": None if gnss is None else str(gnss)},
@@ -87,20 +91,20 @@ def run(
     if crs is not None:
         deliver_run(folder.path, crs)
     if interrupted:
-        raise typer.Exit(130)
+        raise typer.Exit(interrupted)
 
 
 def execute(
     recordings: list[Path], config: RunConfig, output: Path | None, *, overwrite: bool, progress: bool
-) -> tuple[RunFolder, bool]:
+) -> tuple[RunFolder, int]:
     """Open a recording, run the pipeline on it, and write its folder.
 
     Returns
     -------
     folder : RunFolder
         With the account (``facts``) and the record of the run.
-    interrupted : bool
-        Whether Ctrl-C ended it.
+    interrupted : int
+        Exit code for what ended it early, Ctrl-C or a signal; 0 where nothing did.
     """
     from heliograph import pipeline
     from heliograph.cli.interrupt import interruptible
@@ -124,8 +128,10 @@ def execute(
                 )
             except OutputError as error:
                 done = folder.record.summary.scans if folder.record else 0
+                if not done:
+                    raise
                 raise OutputError(f"{error}; what could be saved of {done} scans is in {folder.path}") from error
-    return folder, summary.interrupted
+    return folder, stop.code if summary.interrupted else 0
 
 
 def _folder(
@@ -136,15 +142,22 @@ def _folder(
 
     from heliograph.config_toml import dump_config
     from heliograph.output.facts import plain, versions
+    from heliograph.output.manifest import hashed_inputs
     from heliograph.output.run_folder import RunFolder
     from heliograph.pipeline import sensors_in_use, thread_count
     from heliograph.report import write_report
 
     known_versions, name = versions(), paths[0].resolve().stem
+    inputs = hashed_inputs(paths, config.output.hash_inputs)
 
     def facts() -> dict[str, Any]:
         recorded = plain(recording.summary())
-        return {"inferences": recorded.pop("inferences", []), "recording": recorded, "versions": known_versions}
+        return {
+            "inferences": recorded.pop("inferences", []),
+            "recording": recorded,
+            "inputs": inputs,
+            "versions": known_versions,
+        }
 
     return RunFolder(
         output or Path(f"{name}_heliograph"),

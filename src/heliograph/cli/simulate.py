@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.terminal import plain, raw
 
 if TYPE_CHECKING:
     from heliograph.sim import Scenario
@@ -72,9 +73,10 @@ def _scenario(name: str) -> Scenario:
         return find_scenario(name)
     try:
         return from_toml(Path(name).read_text(encoding="utf-8"))
-    except OSError as error:
+    except (OSError, UnicodeDecodeError) as error:
         raise FormatError(
-            name, f"cannot be read ({error.strerror}); give a scenario's name or its TOML file"
+            name,
+            f"cannot be read ({getattr(error, 'strerror', None) or error}); give a scenario's name or its TOML file",
         ) from error
 
 
@@ -92,9 +94,9 @@ def sweep_progress(label: str, every: float = 5.0) -> Callable[[int, int], None]
         rate = done / max(now - start, 1e-9)
         line = f"{label}: {done} of {total} sweeps, {rate:.0f} a second, {(total - done) / rate:.0f} s left"
         print(
-            f"\r\x1b[K{line}" if live else line,
+            f"\r\x1b[K{plain(line)}" if live else line,
             end="\n" if done == total or not live else "",
-            file=sys.stderr,
+            file=raw(sys.stderr) if live else sys.stderr,
             flush=True,
         )
 

@@ -38,6 +38,18 @@ class CheckConfig:
     max_blind_growth : float
         One-sigma of the position that a stretch along which one direction is not seen may cost; more, and a run is
         called degraded [m].
+    warn_thickness, max_thickness : float
+        Standard deviation across clean walls of a run's map above which it warns, fails [m].
+    warn_accel_bias, max_accel_bias : float
+        Bias of the accelerometer that a run ends with above which it warns, fails [m/s^2].
+    warn_gyro_bias, max_gyro_bias : float
+        The same of the gyroscope [rad/s].
+    warn_level_deg : float
+        One-sigma of the level of a run above which it warns [deg].
+    warn_drift : float
+        Drift that loops show above which it warns [m per 100 m].
+    max_revoked_share : float
+        Share of the closed loops that were taken back above which it warns.
     """
 
     min_rate: float = 5.0
@@ -58,6 +70,15 @@ class CheckConfig:
     warn_vibration_gyro: float = 0.15
     max_vibration_gyro: float = 0.75
     max_blind_growth: float = 0.1
+    warn_thickness: float = 0.05
+    max_thickness: float = 0.12
+    warn_accel_bias: float = 0.8
+    max_accel_bias: float = 2.5
+    warn_gyro_bias: float = 0.1
+    max_gyro_bias: float = 0.5
+    warn_level_deg: float = 1.0
+    warn_drift: float = 1.5
+    max_revoked_share: float = 0.2
 
     def __post_init__(self) -> None:
         check_range(self, "min_rate", "good_rate", "max_gap", "max_jitter", "max_drift_ppm", above=0.0)
@@ -66,3 +87,6 @@ class CheckConfig:
         check_range(self, "warn_mounting_deg", "max_mounting_deg", above=0.0, high=180.0)
         check_range(self, "warn_vibration_accel", "max_vibration_accel", above=0.0)
         check_range(self, "warn_vibration_gyro", "max_vibration_gyro", above=0.0)
+        check_range(self, "warn_thickness", "max_thickness", "warn_accel_bias", "max_accel_bias", above=0.0)
+        check_range(self, "warn_gyro_bias", "max_gyro_bias", "warn_level_deg", "warn_drift", above=0.0)
+        check_range(self, "max_revoked_share", low=0.0, high=1.0)

@@ -36,6 +36,12 @@ class InputConfig:
         Part of the recording to use [s]; a duration of 0 means: to the end.
     max_probe : float
         How much from the start is read at most to infer what is not given; a sensor that begins later is not found [s].
+    max_chunk : float
+        Most that one compressed chunk or message may unpack to; a larger one is damaged or hostile, and left out [MB].
+    max_unpack_ratio : float
+        How many times its own size a compressed file may unpack to.
+    repair : bool
+        Whether faults of the data that the data themselves prove are mended, each said in one line.
     """
 
     reader: str = ""
@@ -50,6 +56,9 @@ class InputConfig:
     start: float = 0.0
     duration: float = 0.0
     max_probe: float = 20.0
+    max_chunk: float = 256.0
+    max_unpack_ratio: float = 1000.0
+    repair: bool = True
 
     def __post_init__(self) -> None:
         check_choice(self, "point_time_unit", "", "s", "ms", "us", "ns")
@@ -58,6 +67,8 @@ class InputConfig:
         check_choice(self, "gyro_unit", "", "rad/s", "deg/s")
         check_range(self, "start", "duration", low=0.0)
         check_range(self, "max_probe", above=0.0, high=600.0)
+        check_range(self, "max_chunk", low=1.0, high=16_000.0)
+        check_range(self, "max_unpack_ratio", low=1.0, high=1e9)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +91,9 @@ class OutputConfig:
         back-end moves the run.
     keep_submaps : bool
         Whether ``submaps.bin``, the points keyframe by keyframe, stays in the folder.
+    hash_inputs : str
+        What of the recording ``run.json`` has a checksum of: ``"full"``, all of it; ``"sampled"``, 16 pieces a file;
+        ``"auto"``, all up to 1 GiB; ``"none"``.
     """
 
     map_voxel: float = 0.1
@@ -90,8 +104,10 @@ class OutputConfig:
     keyframe_angle_deg: float = 30.0
     keyframe_interval: float = 5.0
     keep_submaps: bool = False
+    hash_inputs: str = "auto"
 
     def __post_init__(self) -> None:
         check_range(self, "map_voxel", "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", above=0.0)
         check_range(self, "surface_thickness", low=0.0)
+        check_choice(self, "hash_inputs", "auto", "full", "sampled", "none")
         check_choice(self, "map_format", "ply", "pcd", "laz")

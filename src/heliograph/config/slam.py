@@ -23,6 +23,9 @@ class SlamConfig:
         How far [m] and how much [deg] until the next keyframe.
     keyframe_interval : float
         How long until the next keyframe at rest [s].
+    keyframe_overlap : float
+        A scan is a keyframe when less than this share of what it sees near by was seen by the last keyframe's, such as
+        behind a door; 0: never for that.
     cloud_voxel : float
         One point a cube of this edge is kept of a keyframe's scan [m].
     step_rotation_sigma_deg, step_position_sigma : float
@@ -46,6 +49,7 @@ class SlamConfig:
     keyframe_distance: float = 1.0
     keyframe_angle_deg: float = 10.0
     keyframe_interval: float = 20.0
+    keyframe_overlap: float = 0.3
     cloud_voxel: float = 0.2
     step_rotation_sigma_deg: float = 0.01
     step_position_sigma: float = 0.001
@@ -59,6 +63,7 @@ class SlamConfig:
     def __post_init__(self) -> None:
         check_range(self, "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", "cloud_voxel", above=0.0)
         check_range(self, "step_rotation_sigma_deg", "step_position_sigma", "level_sigma_deg", above=0.0)
+        check_range(self, "keyframe_overlap", low=0.0, high=1.0)
         check_range(self, "loop_worth", low=0.0)
         check_range(self, "loop_every", "loop_pieces", low=1)
         check_range(self, "pose_rotation_sigma_deg", "pose_position_sigma", above=0.0)

@@ -10,6 +10,7 @@ from heliograph.data.imu_record import ImuRecord
 from heliograph.data.keyframe import Keyframe
 from heliograph.data.nav_state import NavState
 from heliograph.data.online_calibration import OnlineCalibration
+from heliograph.data.repair import SensorRepair
 from heliograph.data.result import ScanResult, ScanStatus
 from heliograph.data.rig import Rig
 from heliograph.data.scan import Scan
@@ -37,6 +38,7 @@ __all__ = [
     "Scan",
     "ScanResult",
     "ScanStatus",
+    "SensorRepair",
     "Source",
     "StartAccount",
     "Trajectory",

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
 from heliograph.data import Event
+from heliograph.errors import FormatError
+from heliograph.guard.boundary import outside_each
 
-__all__ = ["RawCloud", "RawFix", "RawImu", "RawMessage", "RawSource", "RawTransform", "TopicInfo"]
+__all__ = ["RawCloud", "RawFix", "RawImu", "RawMessage", "RawSource", "RawTransform", "TopicInfo", "until_damage"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,7 +22,8 @@ class RawCloud:
     """A point cloud as named columns (views into the message where possible; not yet filtered for NaN).
 
     ``layout`` names how it was stored (``"PointCloud2"``, ``"livox/CustomMsg"``, ``"velodyne-bin"`` ...), so that
-    inference can recognise a driver.
+    inference can recognise a driver. ``swapped`` tells that the points are in the other byte order than the message
+    says.
     """
 
     topic: str
@@ -30,6 +33,7 @@ class RawCloud:
     columns: Mapping[str, NDArray[np.generic]]
     layout: str = "PointCloud2"
     base_time_ns: int | None = None
+    swapped: bool = False
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -120,3 +124,13 @@ class RawSource(Protocol):
     def close(self) -> None:
         """Release the files."""
         ...
+
+
+def until_damage(source: RawSource, messages: Iterator[RawMessage]) -> Iterator[RawMessage]:
+    """Yield a source's messages up to where a library fails in them, which is then added to the source's events."""
+    try:
+        yield from outside_each(source.description, messages)
+    except FormatError as error:
+        event = Event(code="truncated", message=f"{error}; what was read before that is used")
+        if event not in source.events:
+            source.events.append(event)

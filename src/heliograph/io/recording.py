@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from bisect import insort
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -15,19 +16,24 @@ from numpy.typing import NDArray
 from heliograph.config import InputConfig
 from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, ImuRecord, Message, Rig, Scan
 from heliograph.errors import CalibrationError, ConfigError, DataError, closest
+from heliograph.guard.limits import ReadLimits
 from heliograph.io.bags.rosbag import RosbagSource
+from heliograph.io.inference.clock_steps import ClockFollower
+from heliograph.io.inference.imu_stamps import EvenStamps, behind_imu, even_period
 from heliograph.io.inference.imu_units import is_usable
 from heliograph.io.inference.interpret import Interpretation, interpret
 from heliograph.io.inference.record import Inference
 from heliograph.io.inference.scans import to_scan
-from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo
+from heliograph.io.inference.sweeps import SweepJoiner
+from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo, until_damage
 from heliograph.io.registry import open_raw_source
-from heliograph.io.tally import StreamTally
+from heliograph.io.tally import LATE_NS, StreamTally
 
 __all__ = ["Recording", "open_recording"]
 
 _MAX_CLOCK_DRIFT_S = 0.02  # by which a clock found at another time may have drifted since [s]
 _WATCH_EVERY = 1000  # samples
+_PUNCTUAL_NS = 40_000_000  # samples that are delivered later keep their scan waiting [ns]
 MAX_BATCH = 256  # samples; bounds how long an estimator waits where no scan comes
 
 
@@ -65,7 +71,7 @@ def open_recording(
     """
     config = config or InputConfig()
     given = [paths] if isinstance(paths, str | Path) else list(paths)
-    source = open_raw_source([Path(path) for path in given], reader=config.reader)
+    source = open_raw_source([Path(path) for path in given], reader=config.reader, limits=ReadLimits.of(config))
     try:
         return Recording(source, interpret(source, config, sensors), config)
     except BaseException:
@@ -97,6 +103,8 @@ class Recording:
         self._config = config
         self.interpretation = interpretation
         self.tally = self._new_tally()
+        self._clocks: ClockFollower | None = None
+        self._even_ns: float | None = None
         self.inferences: tuple[Inference, ...] = interpretation.inferences
         self.topics: tuple[TopicInfo, ...] = source.topics
         self.rig: Rig = interpretation.mounting.rig
@@ -126,7 +134,8 @@ class Recording:
     @property
     def events(self) -> list[Event]:
         """Warnings so far: of opening, of the files, and of the stream read last."""
-        return [*self.interpretation.events, *self._source.events, *self.tally.events()]
+        clocks = [] if self._clocks is None else self._clocks.events()
+        return [*self.interpretation.events, *self._source.events, *self.tally.events(), *clocks]
 
     @property
     def total_scans(self) -> int | None:
@@ -182,24 +191,75 @@ class Recording:
         raising.
         """
         self.tally = self._new_tally()
+        found, messages = self.interpretation, self._converted(self._followed())
+        if found.parts > 1:
+            messages = SweepJoiner(found.timing.period_ns).joined(messages)
+        if found.imu_delay_ns > _PUNCTUAL_NS and found.lidar is not None:
+            messages = behind_imu(messages, patience_ns=found.imu_delay_ns + LATE_NS)
+        yield from messages
+
+    def _followed(self) -> Iterator[RawMessage]:
+        """Yield the messages of all sensors in clocks that do not jump, where they may be mended."""
+        if not self._config.repair:
+            self._clocks = None
+            return self._messages()
+        found, periods = self.interpretation, {}
+        if found.lidar is not None and found.timing.stamp == "header":
+            periods[found.lidar] = found.timing.period_ns
+        if found.imu is not None and found.imu_stamp == "header":
+            periods[found.imu] = found.imu_period_ns
+        self._clocks = ClockFollower(periods)
+        messages = self._clocks.followed(filter(self._is_of_the_frame, self._messages()))
+        return map(EvenStamps(self._even_period()).applied, messages) if found.bunched else messages
+
+    def _is_of_the_frame(self, message: RawMessage) -> bool:
+        """Whether a message is of the sensor that was chosen where several share a topic."""
+        found = self.interpretation
+        if isinstance(message, RawImu) and "imu" in found.one_frame:
+            return message.frame_id.lstrip("/") == found.imu_frame
+        if isinstance(message, RawCloud) and "lidar" in found.one_frame:
+            return message.frame_id.lstrip("/") == found.lidar_frame
+        return True
+
+    def _even_period(self) -> float:
+        """Return the period of samples whose stamps are bunched, from all of them [ns]; read once."""
+        if self._even_ns is None:
+            stamps = [message.stamp_ns for message in self.raw_imu() if self._is_of_the_frame(message)]
+            self._even_ns = even_period(np.array(stamps, dtype=np.int64), self.interpretation.imu_period_ns)
+        return self._even_ns
+
+    def _converted(self, messages: Iterator[RawMessage]) -> Iterator[Message]:
         pending: list[RawImu] = []
-        for message in self._messages():
+        passed_ns = 0
+        for message in messages:
             if isinstance(message, RawImu):
                 if self._accept_imu(message):
                     pending.append(message)
+                elif pending and self._is_late(message, passed_ns):
+                    insort(pending, message, key=lambda sample: sample.stamp_ns)
                 if len(pending) >= MAX_BATCH:
                     yield self._batch(pending)
-                    pending = []
+                    pending, passed_ns = [], pending[-1].stamp_ns
                 continue
             converted = self._convert(message)
             if converted is None:
                 continue
             if pending:
                 yield self._batch(pending)
-                pending = []
+                pending, passed_ns = [], pending[-1].stamp_ns
             yield converted
         if pending:
             yield self._batch(pending)
+
+    def _is_late(self, message: RawImu, passed_ns: int) -> bool:
+        """Whether a sample that came behind a later one may still be sorted in; it is then counted as such."""
+        watch = self.tally.imu
+        late = self.interpretation.imu_stamp == "header" and passed_ns < message.stamp_ns and is_usable(message)
+        if not (late and self._config.repair and self._imu_stamp(message) < watch.last_ns):
+            return False
+        watch.rewinds -= 1
+        watch.unordered += 1
+        return True
 
     def raw_imu(self) -> Iterator[RawImu]:
         """Yield the IMU's messages as they were recorded: units, order and stamps untouched, unusable ones included."""
@@ -305,7 +365,7 @@ class Recording:
             messages = self._source.messages(topics, start_ns if self._config.start > 0 else 0)
         else:
             messages = self._source.messages(topics)
-        for message in messages:
+        for message in until_damage(self._source, messages):
             if self._config.start > 0 and message.received_ns < start_ns:
                 continue
             if end_ns is not None and message.received_ns > end_ns:

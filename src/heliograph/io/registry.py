@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -12,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import ConfigError, DataError, FormatError
+from heliograph.guard.boundary import outside
+from heliograph.guard.limits import ReadLimits
 from heliograph.io.raw import RawMessage, RawSource, TopicInfo
 from heliograph.plugins import call_plugin, check_plugin, find_plugin, installed_plugins, plugin_names
 
@@ -27,8 +30,9 @@ __all__ = [
     "register_reader",
 ]
 
-Opener = Callable[[Sequence[Path]], RawSource | None]
-"""Takes the paths of one recording; returns it opened, or None where they are of another kind."""
+Opener = Callable[..., RawSource | None]
+"""Takes the paths of one recording; returns it opened, or None where they are of another kind. One that has a parameter
+``limits`` gets a `ReadLimits` by that name: how much a file may ask for."""
 
 GROUP = "heliograph.readers"
 
@@ -140,7 +144,7 @@ def reader_names() -> list[str]:
     return plugin_names(OPENERS, GROUP)
 
 
-def open_raw_source(paths: Sequence[Path], *, reader: str = "") -> RawSource:
+def open_raw_source(paths: Sequence[Path], *, reader: str = "", limits: ReadLimits | None = None) -> RawSource:
     """Open files or folders with the reader that is named, or with the first that knows them.
 
     Parameters
@@ -149,6 +153,8 @@ def open_raw_source(paths: Sequence[Path], *, reader: str = "") -> RawSource:
         One recording: a file, a folder, or several of them that belong together.
     reader : str
         As registered, of an entry point, or ``"module:function"``; by default all are asked.
+    limits : ReadLimits, optional
+        How much a file may ask for.
 
     Raises
     ------
@@ -161,7 +167,9 @@ def open_raw_source(paths: Sequence[Path], *, reader: str = "") -> RawSource:
     names = [reader] if reader else [*OPENERS, *sorted({*installed_plugins(GROUP)} - {*OPENERS})]
     for name in names:
         opener: Opener = find_plugin("reader", name, OPENERS, GROUP)
-        source: RawSource | None = call_plugin("reader", name, opener, paths)
+        keywords = {"limits": limits or ReadLimits()} if "limits" in _parameters(opener) else {}
+        with outside(paths[0], "cannot be read: is it damaged?"):
+            source: RawSource | None = call_plugin("reader", name, opener, paths, **keywords)
         if source is not None:
             check_plugin("reader", name, source, RawSource)
             return source
@@ -172,6 +180,13 @@ def open_raw_source(paths: Sequence[Path], *, reader: str = "") -> RawSource:
         else (f"not a recording that Heliograph reads ({known})")
     )
     raise FormatError(paths[0], reason)
+
+
+def _parameters(opener: Opener) -> Mapping[str, object]:
+    try:
+        return inspect.signature(opener).parameters
+    except (TypeError, ValueError):  # of a callable written in C
+        return {}
 
 
 def _check_paths(paths: Sequence[Path]) -> None:

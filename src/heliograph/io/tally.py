@@ -36,6 +36,7 @@ class Watch:
     late: int = 0
     bad: int = 0
     empty: int = 0
+    unordered: int = 0
     gaps: list[tuple[int, int]] = field(default_factory=list)
     _lag_ns: int | None = None
 
@@ -77,6 +78,7 @@ class Watch:
             "duplicates": self.duplicates,
             "rewinds": self.rewinds,
             "late": self.late,
+            "unordered": self.unordered,
             "unusable": self.bad,
             "empty": self.empty,
         }
@@ -104,12 +106,15 @@ class Watch:
                 "late",
                 f"messages came over {LATE_NS // 1_000_000} ms later than others; they are used in order of arrival",
             ),
+            (self.unordered, "unordered", "samples came behind a later one and are sorted in"),
             (self.bad, "bad", "messages hold values that are not finite or cannot be used, and are dropped"),
             (self.empty, "empty", "scans hold no valid point; motion is predicted across them"),
         )
         for count, code, text in troubles:
             if count:
-                found.append(Event(code=f"{self.name}-{code}", message=f"{self.name}: {count} {text}", count=count))
+                severity = "info" if code == "unordered" else "warning"
+                message = f"{self.name}: {count} {text}"
+                found.append(Event(code=f"{self.name}-{code}", message=message, count=count, severity=severity))
         return found
 
 

@@ -31,7 +31,7 @@ __all__ = ["EXPERIMENT", "ONE_STEP", "IcpRun", "residuals_of_the_lesson", "two_s
 METHODS = ("point-to-plane", "point-to-point", "point-to-edge", "gicp")
 SCENES = ("room", "corridor")
 _GATE = 1.5  # largest distance of partners [m]
-_VOXEL = 0.2
+_VOXEL = 0.3
 
 ONE_STEP = AlignConfig(
     voxel=_VOXEL, levels=1, iterations=1, gate=_GATE / _VOXEL, kernel=2.0 * _GATE / _VOXEL, min_cosine=0.0,
@@ -82,7 +82,7 @@ def two_scans(scene: str = "room", seed: int = 1) -> tuple[NDArray[np.float32], 
         Seed of the ranges' noise.
     """
     model = LidarModel(
-        beams=24, columns=360, elevation_deg=(-25.0, 25.0), min_range=0.3, max_range=12.0, range_noise=0.01
+        beams=32, columns=540, elevation_deg=(-25.0, 25.0), min_range=0.3, max_range=12.0, range_noise=0.01
     )
     world, rng, clouds = _world(scene), np.random.default_rng(seed), []
     directions = model.directions()

@@ -39,8 +39,11 @@ _CELL, _MAX_CELLS = 0.08, 60_000
 
 
 def lap(speed: float) -> Simulation:
-    """Return a lap round a rack of a warehouse, with a LiDAR of 16 beams and a bad IMU; it ends where it began."""
-    scenario = SCENARIOS["demo"].thinned(beams=16, columns=120, duration=_SECONDS)
+    """Return a lap round a rack of a warehouse, with a LiDAR of 16 beams and a bad IMU; it ends where it began.
+
+    The beams are as dense as features need, `LoamConfig`.
+    """
+    scenario = SCENARIOS["demo"].thinned(beams=16, columns=360, duration=_SECONDS)
     return simulate(scenario.varied(walk={"speed": speed, "rest": 1.2}, imu={"gyro_noise": 2e-3}), seed=_SEED)
 
 
@@ -198,6 +201,6 @@ EXPERIMENT = Experiment(
     "a graph, and the filter with a graph. Errors, times and maps are measured as you watch.",
     controls=(Control(name="speed", label="Speed", default=1.5, low=0.8, high=3.0, step=0.1, unit="m/s"),),
     begin=SideBySideRun,
-    command="heliograph run drive.bag --no-graph   # then without --no-graph, then --odometry of another family",
+    command="heliograph run drive.bag --no-graph   # then without --no-graph, then --odometry loam",
     code=CODE,
 )

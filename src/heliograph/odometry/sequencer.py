@@ -13,6 +13,7 @@ __all__ = ["ImuBuffer", "Packet", "Sequencer"]
 
 _PATIENCE_NS = round(1e9 * ImuConfig().patience)
 _INTERVAL_NS = 100_000_000
+_LONGEST_CUT_NS = 60_000_000_000  # a gap of the IMU that is cut into intervals
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,6 +153,15 @@ class Sequencer:
         if self._last_end_ns is None:
             self._last_end_ns = int(self.imu.everything().stamps_ns[0])
         while self._last_end_ns + self._interval_ns <= last:
-            self._last_end_ns += self._interval_ns
+            self._last_end_ns = self._next_end(self._last_end_ns, last)
             packets.append(Packet(scan=None, end_ns=self._last_end_ns))
         return packets
+
+    def _next_end(self, before_ns: int, last_ns: int) -> int:
+        """Return where the next interval ends; a gap that nothing can bridge is one interval, whatever its length."""
+        usual = before_ns + self._interval_ns
+        if last_ns - before_ns <= _LONGEST_CUT_NS:
+            return usual
+        stamps = self.imu.everything().stamps_ns
+        following = int(stamps[np.searchsorted(stamps, usual)])
+        return following if following - before_ns > _LONGEST_CUT_NS else usual

@@ -12,14 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from heliograph.data import GraphAccount, StartAccount
+from heliograph.checks import VERDICT_WORDS, Finding
+from heliograph.data import GraphAccount, SensorRepair, StartAccount
 from heliograph.output.blind_spans import BlindSpan
 from heliograph.output.georeference import gnss_facts
 from heliograph.output.level import Level
+from heliograph.output.manifest import hashed_files
+from heliograph.output.reasons import Reason, next_action, reason_facts
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 
-__all__ = ["final_facts", "graph_facts", "peak_memory_mb", "versions"]
+__all__ = ["RUN_SCHEMA", "final_facts", "graph_facts", "peak_memory_mb", "versions"]
+
+
+RUN_SCHEMA = "heliograph run 1"
+"""Schema of ``run.json``, see run.schema.json beside this file: names may be added, none changes or goes."""
 
 
 def versions() -> dict[str, str]:
@@ -77,11 +84,22 @@ def final_facts(
         Writers' failures.
     """
     summary = record.summary
+    failure = summary.failure or "; ".join(str(failure) for failure in failures)
+    # A run of which something is not there is none that is well, however well its scans went.
+    status = "incomplete" if failure and summary.status == "ok" else summary.status
+    ended = [Reason("failure", f"it did not end, or not all could be written: {failure}")] if failure else []
+    reasons = [*summary.reasons, *ended]
     account = {
-        "status": summary.status,
-        "reasons": list(summary.reasons),
+        "schema": RUN_SCHEMA,
+        "status": status,
+        "reasons": reasons,
+        "verdict": {
+            "code": status,
+            "reasons": reason_facts(reasons),
+            "action": next_action(status, reasons, failure),
+        },
         "interrupted": summary.interrupted,
-        "failure": summary.failure or "; ".join(str(failure) for failure in failures),
+        "failure": failure,
         "sensors": list(summary.sensors),
         "scans": summary.scans,
         "scan_verdicts": dict(summary.statuses),
@@ -94,6 +112,8 @@ def final_facts(
             "direction_map": summary.weakest_direction.tolist(),
         },
         **({"graph": graph_facts(summary.graph)} if summary.graph is not None else {}),
+        "checks": [finding_facts(finding) for finding in summary.findings],
+        **({"repairs": [_repair(repair) for repair in summary.repairs]} if summary.repairs else {}),
         "blind_spans": [_blind(span) for span in summary.blind_spans],
         "level": _level(summary.level),
         **({"start": _start(summary.start)} if summary.start is not None else {}),
@@ -105,6 +125,7 @@ def final_facts(
         **facts,
         "folder": str(record.folder),
         "files": [path.name for path in files],
+        "outputs": hashed_files(path for path in files if path.name != "run.json"),
     }
     return {key: plain(value) for key, value in account.items()}
 
@@ -115,6 +136,35 @@ def graph_facts(graph: GraphAccount) -> dict[str, Any]:
     gnss = {} if graph.gnss is None else {"gnss": gnss_facts(graph.gnss)}
     wheels = {} if graph.wheels is None else {"wheels": asdict(graph.wheels)}
     return {"keyframes": graph.keyframes, "moved_m": graph.moved, "loops": loops, **gnss, **wheels}
+
+
+def finding_facts(finding: Finding) -> dict[str, Any]:
+    """Return one verdict of the checks as ``run.json`` has it."""
+    return {
+        "code": finding.code,
+        "title": finding.title,
+        "verdict": VERDICT_WORDS[finding.verdict],
+        "evidence": finding.evidence,
+        "remedy": finding.remedy,
+        "numbers": [asdict(number) for number in finding.numbers],
+        "picture": finding.picture,
+    }
+
+
+def _repair(repair: SensorRepair) -> dict[str, Any]:
+    """Return what was mended, with the numbers that were put in place."""
+    clock, rig = repair.clock, repair.rig
+    account: dict[str, Any] = {"code": repair.code, "sentence": repair.sentence}
+    for name in ("gyro", "accel"):
+        if not np.array_equal(getattr(repair, name), np.eye(3)):
+            account[f"{name}_factor"] = getattr(repair, name).tolist()
+    if not clock.exact:
+        account["imu_clock"] = {
+            "offset_s": clock.offset, "drift_ppm": 1e6 * clock.drift, "reference_ns": clock.reference_ns,
+        }  # fmt: skip
+    if rig is not None:
+        account["T_imu_lidar"] = rig.T_imu_lidar.tolist()
+    return account
 
 
 def _blind(span: BlindSpan) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from heliograph.data import ImuBatch, Message, OnlineCalibration, ScanResult
 from heliograph.errors import OutputError
 from heliograph.io.files.clouds import write_cloud
 from heliograph.output.facts import final_facts
+from heliograph.output.lock import FolderLock
 from heliograph.output.map_writer import MapWriter
 from heliograph.output.record import RunRecord
 from heliograph.output.scan_log import ScanLog
@@ -90,7 +91,13 @@ class RunFolder(Sink):
         overwrite: bool = False,
     ) -> None:
         self._created = not path.exists()
-        self.path = check_output_directory(path, overwrite)
+        self._lock = FolderLock(path) if path.is_dir() else None
+        try:
+            self.path = check_output_directory(path, overwrite)
+            self._lock = self._lock or FolderLock(path)
+        except BaseException:
+            self._unlock()
+            raise
         self.name, self.config, self._output, self._finishers = name, config, output, tuple(finishers)
         self._facts = facts
         self.facts: dict[str, Any] = dict(facts())
@@ -107,14 +114,28 @@ class RunFolder(Sink):
                 # What the format needs may not be installed; that must not come out after an hour's run.
                 write_cloud(self._map_path, np.zeros((1, 3), dtype=np.float32))
                 self._map_path.unlink()
-            version = str(self.facts.get("versions", {}).get("heliograph", ""))
-            stamp = "header stamp of a LiDAR message [s]" if has_map else "time of the pose [s]"
-            self._trajectories = TrajectoryFiles(
-                path, body=output.body, T_imu_body=T_imu_body, version=version, stamp=stamp
-            )
-            self._log = ScanLog(path / "scans.csv")
-            if has_map:
-                self._map = MapWriter(path / SUBMAPS, output, threaded=threaded)
+            self._has_map, self._T_imu_body, self._threaded = has_map, T_imu_body, threaded
+            self._open_files()
+
+    def _open_files(self) -> None:
+        """Begin the files that grow with the run."""
+        version = str(self.facts.get("versions", {}).get("heliograph", ""))
+        stamp = "header stamp of a LiDAR message [s]" if self._has_map else "time of the pose [s]"
+        self._trajectories = TrajectoryFiles(
+            self.path, body=self._output.body, T_imu_body=self._T_imu_body, version=version, stamp=stamp
+        )
+        self._log = ScanLog(self.path / "scans.csv")
+        if self._has_map:
+            self._map = MapWriter(self.path / SUBMAPS, self._output, threaded=self._threaded)
+
+    def restart(self) -> None:
+        """Begin the files anew; what they held is gone."""
+        self._release()
+        with self._nothing_left_on_failure():
+            write_text(self.path / "config.toml", self.config)
+            write_text(self.path / "run.json", json.dumps({"status": "running", **self.facts}, indent=2, default=str))
+            self._map, self._count, self._calibration = None, 0, None
+            self._open_files()
 
     def observe(self, message: Message) -> None:
         """Note the IMU's stamps."""
@@ -169,8 +190,10 @@ class RunFolder(Sink):
         self.files += [self.path / "config.toml", self.path / "run.json"]
         with self._step("run.json", failures):
             closing = time.perf_counter() - began
-            self.facts = final_facts(self.facts, self.record, self.files, self.writer_seconds, closing, failures)
-            write_text(self.path / "run.json", json.dumps(self.facts, indent=2, allow_nan=False) + "\n")
+            written = [path for path in dict.fromkeys(self.files) if path.exists()]
+            self.facts = final_facts(self.facts, self.record, written, self.writer_seconds, closing, failures)
+            self._write_account()
+        self._unlock()
         if failures:
             raise failures[0]
 
@@ -185,6 +208,7 @@ class RunFolder(Sink):
             self._discard()
         else:
             self._release()
+        self._unlock()
 
     @property
     def _map_path(self) -> Path:
@@ -214,9 +238,27 @@ class RunFolder(Sink):
         if self._map.release(keep=self._output.keep_submaps or not_merged):
             self.files.append(self._map.path)
 
+    def _write_account(self) -> None:
+        """Write ``run.json``; on a full disk over the first one, which must not say any more that it runs."""
+        path = self.path / "run.json"
+        try:
+            write_text(path, json.dumps(self.facts, indent=2, allow_nan=False) + "\n")
+        except OutputError:
+            told = {key: self.facts[key] for key in ("status", "interrupted", "failure", "scans", "files")}
+            told["status"] = "incomplete" if told["status"] == "ok" else told["status"]
+            text = json.dumps(told, indent=2) + "\n"
+            with path.open("r+b") as file:  # in place: what it takes is its own already
+                file.write(text.encode().ljust(max(path.stat().st_size, len(text)), b"\n"))
+            raise
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
+
     def _discard(self) -> None:
         """Leave nothing of a run that has no result."""
         self._release()
+        self._unlock()
         self._remove()
 
     def _release(self) -> None:
@@ -244,6 +286,7 @@ class RunFolder(Sink):
         try:
             yield
         except BaseException:
+            self._unlock()
             self._remove()
             raise
 

@@ -31,6 +31,10 @@ class Sink(Protocol):
         """Take one scan's result; results come in time order, each once."""
         return
 
+    def restart(self) -> None:
+        """Forget all that came: the recording was found to be faulty, and comes again from the start, mended."""
+        return
+
     def close(self, summary: RunSummary) -> None:  # noqa: ARG002
         """Finish, whatever ended the run: its end, Ctrl-C, or a failure of this or another sink."""
         return

@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
-from heliograph.data import Event, GraphAccount, ScanResult, StartAccount
+from heliograph.checks import Finding
+from heliograph.data import Event, GraphAccount, ScanResult, SensorRepair, StartAccount
 from heliograph.data.error_layout import GRAVITY
 from heliograph.output.blind_spans import BlindSpan, BlindSpans
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.level import Level
+from heliograph.output.reasons import Reason
 
-__all__ = ["RunSummary", "Tally", "fold_events", "judge"]
+__all__ = ["RunSummary", "Tally", "doubts_of", "fold_events", "judge"]
 
 # Shares of the scans from which a result is called degraded or lost. A single bad scan in a thousand is normal (a
 # person walks past the sensor); from a tenth on a user who trusts the map without looking would be misled.
@@ -79,6 +81,10 @@ class RunSummary:
         How the odometry began; None where it does not tell.
     failure : str
         The error that ended the run early, or empty.
+    findings : tuple of Finding
+        The six verdicts of the checks inside the run.
+    repairs : tuple of SensorRepair
+        What was mended before the run.
     """
 
     status: str = "ok"
@@ -104,6 +110,8 @@ class RunSummary:
     level: Level = field(default_factory=Level)
     start: StartAccount | None = None
     failure: str = ""
+    findings: tuple[Finding, ...] = ()
+    repairs: tuple[SensorRepair, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -161,44 +169,59 @@ def judge(
     total = max(sum(statuses.values()), 1)
     share = {name: statuses.get(name, 0) / total for name in ("degenerate", "predicted", "lost", "empty")}
     unmatched = share["lost"] + share["predicted"] + share["empty"]
-    lost, degraded = [], []
+    lost: list[Reason] = []
+    degraded: list[Reason] = []
     if share["lost"] >= LOST_SHARE:
-        lost.append(f"{share['lost']:.0%} of the scans were lost")
+        lost.append(Reason("lost", f"{share['lost']:.0%} of the scans were lost"))
     if "lidar" in sensors:
         if unmatched >= UNTRACKED_SHARE:
-            lost.append(f"{unmatched:.0%} of the scans could not be matched to the map")
+            lost.append(Reason("lost", f"{unmatched:.0%} of the scans could not be matched to the map"))
         elif unmatched >= DEGRADED_SHARE:
-            degraded.append(
-                f"{unmatched:.0%} of the scans could not be matched; the motion model carried on through them"
-            )
+            text = f"{unmatched:.0%} of the scans could not be matched; the motion model carried on through them"
+            degraded.append(Reason("unmatched", text))
         degraded += _blindness(tuple(blind), budget, share["degenerate"])
     else:
-        degraded.append("dead reckoning on the IMU alone: the position error grows with the square of time")
+        text = "dead reckoning on the IMU alone: the position error grows with the square of time"
+        degraded.append(Reason("imu-alone", text))
     if held / total >= HELD_SHARE:
-        degraded.append(
-            f"the IMU did not cover the end of {held / total:.0%} of the scans: check its clock and its gaps"
-        )
-    degraded += doubts
+        text = f"the IMU did not cover the end of {held / total:.0%} of the scans: check its clock and its gaps"
+        degraded.append(Reason("imu-held", text))
+    degraded += [Reason("other", doubt) for doubt in doubts]
     if against_imu / total >= DEGRADED_SHARE:
-        degraded.append(
+        text = (
             f"the IMU contradicts the match of {against_imu / total:.0%} of the scans: `heliograph check` tells "
             f"whether it is the IMU, else places that look alike were taken for one another"
         )
+        degraded.append(Reason("against-imu", text))
     status = "lost" if lost else "degraded" if degraded else "ok"
-    early = ("interrupted: the result covers the part that was read",) if interrupted else ()
+    early = (Reason("interrupted", "interrupted: the result covers the part that was read"),) if interrupted else ()
     return status, (*lost, *degraded, *early)
 
 
-def _blindness(blind: tuple[BlindSpan, ...], budget: float, share: float) -> list[str]:
+def _blindness(blind: tuple[BlindSpan, ...], budget: float, share: float) -> list[Reason]:
     """Return what blind stretches cost beyond the budget; where an odometry tells no sigmas, how often it was blind."""
     costly = [span for span in blind if span.growth > budget]
     if costly:
         worst = max(costly, key=lambda span: span.growth)
         more = f", the worst of {len(costly)} such stretches" if len(costly) > 1 else ""
-        return [f"{worst}{more}"]
+        return [Reason("blind", f"{worst}{more}")]
     if share >= DEGRADED_SHARE and not any(span.sigma_after > 0.0 for span in blind):
-        return [f"one direction was unobservable in {share:.0%} of the scans"]
+        return [Reason("blind", f"one direction was unobservable in {share:.0%} of the scans")]
     return []
+
+
+def doubts_of(findings: Iterable[Finding], events: Iterable[Event]) -> tuple[str, ...]:
+    """Return what speaks against a result by its checks and events: those that failed, and those that are errors.
+
+    What blind stretches cost is told to `judge` by themselves.
+    """
+    wrong = [event.message for event in events if event.severity == "error"]
+    failed = [
+        f"{finding.title}: {finding.evidence} - {finding.remedy}"
+        for finding in findings
+        if finding.verdict == "fail" and finding.code != "degenerate-drift"
+    ]
+    return (*wrong, *failed)
 
 
 def fold_events(events: Iterable[Event]) -> tuple[Event, ...]:

@@ -19,7 +19,6 @@ __all__ = ["FeatureNoise", "FeatureRegistration", "register_features"]
 
 Array = NDArray[np.float64]
 
-_ALL = np.zeros(0, np.float32)
 _NOISE_GAIN = 0.2  # share of a new scan's residuals in the noise that is believed
 
 
@@ -87,13 +86,11 @@ def register_features(
     config: LoamConfig,
     settings: FilterConfig,
     opening: float = 0.0,
-    share: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None,
-    max_iterations: int | None = None,
     threads: int = 1,
 ) -> FeatureRegistration:
     """Find the pose at which edge points lie on lines of the map and planar points on planes.
 
-    Each iteration solves eq. (8) of docs/theory/loam.md. Directions that the features do not see stay where the start
+    Each iteration solves eq. (7) of docs/theory/loam.md. Directions that the features do not see stay where the start
     has them (solution remapping: J. Zhang, M. Kaess, S. Singh, "On degeneracy of optimization-based state estimation
     problems", ICRA 2016), and which these are follows from the noise of lines and planes instead of a threshold.
 
@@ -110,11 +107,6 @@ def register_features(
         Kernel, gate and tolerances.
     opening : float
         Scale of the kernel at first [m]; it halves from iteration to iteration down to ``settings.kernel`` sigmas.
-    share : pair of (E,), (P,) float32, optional
-        The part of the pose's error that moves each edge and each planar point: those measured early in a sweep that is
-        de-skewed with the very motion that is sought move less.
-    max_iterations : int, optional
-        Not one more, also where the kernel has not narrowed; ``config.max_iterations`` after that if not given.
     threads : int
         Threads of the native loops; the result does not depend on them.
 
@@ -124,24 +116,23 @@ def register_features(
         A pose that is not finite.
     """
     T = as_pose("T_odom_body", T_odom_body)
-    shares = (_ALL, _ALL) if share is None else share
     kinds = ((local_map.edges, points.edges, noise.edge), (local_map.planes, points.planes, noise.plane))
     final = settings.kernel * noise.plane
     matches: list[Any] = []
     wide, matched_at, converged, count = max(opening / final, 1.0), T, False, 0
-    limit = max_iterations or config.max_iterations + int(np.ceil(np.log2(wide)))
+    limit = config.max_iterations + int(np.ceil(np.log2(wide)))
     while count < limit:
         fresh = not matches or _apart(matched_at, T, settings.typical_range) > config.rematch
         if fresh:
             matches, matched_at = [kind.match(p, T, sigma, threads) for kind, p, sigma in kinds], T
         scales = [wide * settings.kernel * sigma for _, _, sigma in kinds]
         edges, planes = (
-            _equations(found.sum(p, s, T, settings.gate * scale, scale, sigma, threads), len(p))
-            for found, (_, p, sigma), s, scale in zip(matches, kinds, shares, scales, strict=True)
+            _equations(found.sum(p, T, settings.gate * scale, scale, sigma, threads), len(p))
+            for found, (_, p, sigma), scale in zip(matches, kinds, scales, strict=True)
         )
         sums = _joined(edges, planes)
         seen = true_share(sums)
-        step = -seen.covariance() @ seen.gradient(sums.gradient)  # eq. (8)
+        step = -seen.covariance() @ seen.gradient(sums.gradient)  # eq. (7)
         T, count = _moved(T, step), count + 1
         small = (
             float(np.linalg.norm(step[:3])) < settings.tolerance_rotation
@@ -159,7 +150,7 @@ def register_features(
 
 def _moved(T: Array, step: Array) -> Array:
     """Return the pose after a right perturbation of the rotation and a step along odom axes."""
-    out = T.copy()
+    out = np.array(T)
     out[:3, :3] = T[:3, :3] @ so3.exp(step[:3])
     out[:3, 3] += step[3:]
     return out
@@ -167,8 +158,8 @@ def _moved(T: Array, step: Array) -> Array:
 
 def _apart(a: Array, b: Array, reach: float) -> float:
     """Return how far two poses place a point at a distance of ``reach`` apart at most [m], for small turns."""
-    turn = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / np.sqrt(2.0)
-    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])) + reach * turn
+    turn = np.linalg.norm(a[:3, :3] - b[:3, :3]) / np.sqrt(2.0)
+    return float(np.linalg.norm(a[:3, 3] - b[:3, 3]) + reach * turn)
 
 
 def _equations(sums: Any, queries: int) -> NormalEquations:  # noqa: ANN401

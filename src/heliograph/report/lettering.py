@@ -36,7 +36,7 @@ def lettered(image: NDArray[np.uint8], view: View) -> NDArray[np.uint8]:
     dot = max(1, round(min(rows, columns) / 300))
     length = round_length(columns * view.pixel / 5.0)
     bar = round(length / view.pixel)
-    words = f"{length:g} m"
+    words = f"{length:.15g} m" if length < 1e15 else ""  # the sheet of signs has no exponent
     if rows < 24 * dot or columns < bar + 40 * dot:
         return out
     base, right = rows - 6 * dot, columns - 6 * dot

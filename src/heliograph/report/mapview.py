@@ -74,7 +74,7 @@ class MapPictures:
         # A roof is one level that tops a good part of all occupied cells; trees and facades end at all heights.
         keys = np.floor((self.points[:, :2] - self.points[:, :2].min(axis=0)) / _ROOF_CELL).astype(np.int64)
         span = keys.max(axis=0) + 1
-        if int(span.prod()) > _MAX_POINTS:
+        if int(span[0]) * int(span[1]) > _MAX_POINTS:
             return None
         top = np.full(int(span.prod()), -np.inf, dtype=np.float32)
         np.maximum.at(top, keys[:, 0] * span[1] + keys[:, 1], self.points[:, 2])

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.atomic import atomic_path, write_text
+from heliograph.checks import VERDICT_WORDS, Finding
 from heliograph.data import Event
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
@@ -105,13 +106,29 @@ def header(record: RunRecord) -> str:
     return (
         f'<header><p class="brand">Heliograph {version} · run report</p><h1>{escape(record.name)}</h1>'
         f'<p class="verdict {summary.status}"><b>{summary.status}</b> {_STATUS_WORDS[summary.status]}</p>'
-        f'{f"<ul class=reasons>{reasons}</ul>" if reasons else ""}<dl class="tiles">{tiles}</dl>'
+        f'{f"<ul class=reasons>{reasons}</ul>" if reasons else ""}<dl class="tiles">{tiles}</dl>{checks(record)}'
         f"{warnings(record)}</header>"
     )
 
 
 def _is_lap(summary: RunSummary) -> bool:
     return summary.start_end_gap < _LAP_SHARE * summary.distance
+
+
+def checks(record: RunRecord) -> str:
+    """Return the six verdicts, each with what was measured, and what to do where it is no PASS."""
+    rows = "".join(
+        f'<li class="{finding.verdict}"><b>{VERDICT_WORDS[finding.verdict]}</b> {_picture(finding)}: '
+        f"{escape(finding.evidence)}{f' <i>{escape(finding.remedy)}</i>' if finding.remedy else ''}</li>"
+        for finding in record.summary.findings
+    )
+    return f'<ul class="checks">{rows}</ul>' if rows else ""
+
+
+def _picture(finding: Finding) -> str:
+    """Return a finding's title, as a link to where the run shows it if it does."""
+    target = finding.picture.removeprefix("report.html")
+    return f'<a href="{escape(target)}">{escape(finding.title)}</a>' if target else escape(finding.title)
 
 
 def warnings(record: RunRecord) -> str:
@@ -138,7 +155,8 @@ def section(title: str, figures: Iterable[str], *, wide: bool = False, intro: st
     """Return a section of figures, two abreast or one."""
     heading = f"<h2>{title}</h2>" if title else ""
     lead = f'<p class="intro">{intro}</p>' if intro else ""
-    return f'<section>{heading}{lead}<div class="{"one" if wide else "two"}">{"".join(figures)}</div></section>'
+    name = f' id="{title.lower().replace(" ", "-")}"' if title else ""
+    return f'<section{name}>{heading}{lead}<div class="{"one" if wide else "two"}">{"".join(figures)}</div></section>'
 
 
 def observability(record: RunRecord) -> str:
@@ -183,7 +201,7 @@ def inferences(items: Sequence[Mapping[str, Any]]) -> str:
         return ""
     columns = [key for key in items[0] if any(item.get(key) not in (None, "") for item in items)]
     rows = [tuple(str(item.get(column, "")) for column in columns) for item in items]
-    return f"<section><h2>What was inferred from the recording</h2>{table(tuple(columns), rows)}</section>"
+    return f'<section id="sensors"><h2>What was inferred from the recording</h2>{table(tuple(columns), rows)}</section>'
 
 
 def tables(record: RunRecord) -> str:

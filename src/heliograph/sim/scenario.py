@@ -147,7 +147,7 @@ def from_toml(text: str) -> Scenario:
     """
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"not a scenario in TOML: {error}") from error
     return build(Scenario, table)
 

@@ -6,22 +6,26 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.arrays import Array
 from heliograph.cloud import voxel_downsample
 from heliograph.config import SlamConfig
 from heliograph.data import ImuBatch, Keyframe, ScanResult
 from heliograph.lie import se3
+from heliograph.maps import transformed
 from heliograph.odometry.sequencer import ImuBuffer
 from heliograph.slam.covariances import graph_covariance, graph_information, step_covariance
 
 __all__ = ["KeyframeSelector"]
 
+_NEAR_M, _CUBE_M = 15.0, 1.0  # points are compared up to this distance, in cubes of this edge
+_COMPARED, _FEWEST = 2000, 100  # of them at most, and at least
 _OTHERS_NS = 200_000_000  # clouds that come slower than this are another system's keyframes
 
 
 class KeyframeSelector:
-    """Watches a run and makes a keyframe of a scan when the body has moved on, turned, or stood for a while.
+    """Watches a run and makes a keyframe of a scan when the body has moved on, turned, stood for a while, or sees new.
 
     A scan that was not matched makes none: where the LiDAR saw nothing, there is nothing to come back to.
 
@@ -36,6 +40,7 @@ class KeyframeSelector:
         self._config, self._poses_given = config, poses_given
         self._imu = ImuBuffer()
         self._last: ScanResult | None = None
+        self._seen = np.zeros(0, dtype=np.int64)  # cubes that the last keyframe's scan saw, sorted
         self._count = 0
 
     def observe(self, samples: ImuBatch) -> None:
@@ -64,6 +69,7 @@ class KeyframeSelector:
             imu=self._samples(result),
         )
         self._imu.forget_before(result.end_ns)
+        self._seen = np.unique(_cubes(result, result.T_odom_imu))
         self._last, self._count = result, self._count + 1
         return keyframe
 
@@ -78,7 +84,18 @@ class KeyframeSelector:
             np.linalg.norm(result.T_odom_imu[:3, 3] - last.T_odom_imu[:3, 3]) >= config.keyframe_distance
             or np.linalg.norm(step[:3]) >= math.radians(config.keyframe_angle_deg)
             or result.end_ns - last.end_ns >= 1e9 * config.keyframe_interval
+            or self._overlap(result, last.T_odom_imu) < config.keyframe_overlap
         )
+
+    def _overlap(self, result: ScanResult, T_odom_last: Array) -> float:
+        """Return the share of what a scan sees near by that the last keyframe's saw; 1 where either saw too little."""
+        if self._config.keyframe_overlap == 0.0 or len(self._seen) == 0:
+            return 1.0
+        cubes = _cubes(result, T_odom_last)
+        if len(cubes) < _FEWEST:
+            return 1.0
+        at = np.minimum(np.searchsorted(self._seen, cubes), len(self._seen) - 1)
+        return float(np.mean(self._seen[at] == cubes))
 
     def _step_covariance(self, result: ScanResult) -> Array:
         if self._last is None:
@@ -107,3 +124,12 @@ class KeyframeSelector:
         late_ns = round(1e9 * account.imu_offset)
         samples = self._imu.between(start_ns + late_ns, result.end_ns + late_ns)
         return replace(samples, stamps_ns=samples.stamps_ns - late_ns)
+
+
+def _cubes(result: ScanResult, T_odom_frame: Array) -> NDArray[np.int64]:
+    """Return the cubes of some pose's frame in which a scan has points near by, one entry a point."""
+    points = result.points_imu[:: 1 + len(result.points_imu) // _COMPARED]
+    near = points[np.einsum("ni,ni->n", points, points) < _NEAR_M**2]
+    T = se3.inverse(T_odom_frame) @ result.T_odom_imu
+    cells = np.floor(transformed(np.ascontiguousarray(near), T) / np.float32(_CUBE_M)).astype(np.int64) + (1 << 20)
+    return np.asarray((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])

@@ -110,7 +110,8 @@ class KeyframeStore:
             raise FormatError(
                 path / _JOURNAL, f"version {head.get('version')!r} of the store; this Heliograph reads {_VERSION}"
             )
-        return cls(path, list(_whole_entries(path, lines[1:])))
+        entries = list(_whole_entries(path, lines[1:]))
+        return cls(path, _without_torn_end(path, entries))
 
     def append(self, keyframe: Keyframe) -> None:
         """Write the next keyframe.
@@ -233,6 +234,13 @@ def _whole_entries(path: Path, lines: list[bytes]) -> Iterator[_Entry]:
             return
         last = entry.stamp_ns
         yield entry
+
+
+def _without_torn_end(path: Path, entries: list[_Entry]) -> list[_Entry]:
+    """Leave out the last files that are not what was written: a power loss leaves some that hold zeros."""
+    while entries and zlib.crc32((path / entries[-1].file).read_bytes()) != entries[-1].crc32:
+        entries.pop()
+    return entries
 
 
 def _packed(keyframe: Keyframe) -> bytes:

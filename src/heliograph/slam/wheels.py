@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from heliograph.arrays import Array, Stamps
+from heliograph.arrays import Array, Mask, Stamps
 from heliograph.chi_square import chi_square_quantile
 from heliograph.config import RunConfig
 from heliograph.data import Event, ImuNoise, Keyframe, WheelAccount, WheelSpeeds
@@ -42,7 +42,7 @@ class WheelFactors:
         self._gravity = np.array([0.0, 0.0, -config.imu.gravity])
         self._stamps: Stamps = np.zeros(0, dtype=np.int64)
         self._v: Array = np.zeros((0, 3))
-        self._measured = np.zeros(3, dtype=bool)
+        self._measured: Mask = np.zeros(3, dtype=bool)
         self._arm = np.array(config.wheels.lever_arm)
         self._gate = chi_square_quantile(config.wheels.slip_probability, 1)
         self.steps = self.slips = 0
@@ -60,7 +60,7 @@ class WheelFactors:
         v = np.where(np.isfinite(speeds.v_body), speeds.v_body, 0.0) @ turn.T
         self._stamps = np.concatenate([self._stamps, speeds.stamps_ns])
         self._v = np.concatenate([self._v, v])
-        self._measured = np.isfinite(speeds.v_body).any(axis=0)
+        self._measured = np.asarray(np.isfinite(speeds.v_body).any(axis=0), dtype=bool)
 
     def step(self, before: Keyframe, keyframe: Keyframe, smoother: ISAM2) -> tuple[FactorGraph, Values]:
         """Return what the speeds tell of the step to a keyframe, and the scale where it is new.

@@ -265,6 +265,15 @@ def test_simulate_same_seed_same_bytes(call, tmp_path):
     assert code == 2 and len(err.splitlines()) == 1
 
 
+def test_commands_are_completed():
+    done = subprocess.run(
+        [sys.executable, "-c", "import sys; from heliograph.cli.main import app; app(prog_name='heliograph')"],
+        env={**os.environ, "_HELIOGRAPH_COMPLETE": "complete_bash", "COMP_WORDS": "heliograph lo", "COMP_CWORD": "1"},
+        capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.stdout.split() == ["loops"]
+
+
 def test_version_and_help(call):
     assert call("--version")[1].startswith("heliograph ")
     for command in ("run", "info", "evaluate", "simulate", "demo"):

@@ -100,7 +100,7 @@ def test_icp_steps_are_align_with_one_iteration():
     run = experiment.begin(settings)
     target, source = two_scans("room")
     T = T_TRUE @ se3.exp([0.0, 0.0, np.radians(6.0), 0.4, -0.2, 0.0])
-    for _ in range(6):
+    for _ in range(3):  # the next steps are below a tenth of a millimetre, and not taken
         run.step("step", settings)
         T = align(target, source, method="point-to-plane", start=T, config=ONE_STEP).T_target_source
     np.testing.assert_array_equal(run.T, T)

@@ -27,7 +27,7 @@ def test_registered_odometry_is_made_with_what_the_run_has():
     config = RunConfig(odometry="mine")
     assert isinstance(make_odometry(config, RIG, BOTH, 2), FakeOdometry)
     assert given == [(config, RIG, BOTH, 2)]
-    assert odometry_names() == ["filter", "mine"]
+    assert odometry_names() == ["filter", "loam", "mine"]
 
 
 def test_odometry_of_a_module_is_imported():

@@ -45,6 +45,11 @@ def test_judge_counts_the_scans_whose_match_the_imu_contradicts():
     assert verdict == "degraded" and "contradicts the match of 10%" in reasons[0]
 
 
+def test_judge_calls_a_run_degraded_that_something_else_speaks_against():
+    verdict, reasons = judge({"tracked": 100}, sensors=("lidar",), doubts=("the clouds contradict the poses",))
+    assert (verdict, reasons) == ("degraded", ("the clouds contradict the poses",))
+
+
 def test_judge_calls_a_run_degraded_whose_imu_did_not_cover_the_scans():
     assert judge({"tracked": 100}, sensors=("lidar", "imu"), held=19)[0] == "ok"
     verdict, reasons = judge({"tracked": 100}, sensors=("lidar", "imu"), held=20)

@@ -11,7 +11,6 @@ from heliograph.registration import FeatureNoise, register_features
 
 CONFIG, FILTER = LoamConfig(), FilterConfig()
 NOISE = FeatureNoise(edge=0.05, plane=0.03)
-NOTHING = np.zeros(0, np.float32)
 
 
 def room(rng, count=6000, ends=True, noise=0.01):
@@ -51,22 +50,18 @@ def world():
 
 
 @pytest.mark.parametrize("edges", [True, False])
-@pytest.mark.parametrize("shared", [True, False])
-def test_sums_equal_the_slow_twin(world, edges, shared):
+def test_sums_equal_the_slow_twin(world, edges):
     local_map, scan = world
     T = se3.exp(np.array([0.01, -0.02, 0.03, 0.05, -0.04, 0.03]))
     points = (scan.edges if edges else scan.planes)[:300]
     found = (local_map.edges if edges else local_map.planes).match(points, T, 0.03, 1)
-    share = np.linspace(0.0, 1.0, len(points)).astype(np.float32) if shared else NOTHING
-    sums = found.sum(points, share, T, 0.2, 0.1, 0.03, 1)
+    sums = found.sum(points, T, 0.2, 0.1, 0.03, 1)
     rows = [(r[1:4], r[4:7], r[7], r[8]) if r[0] else None for r in found.table()]
-    expected = sums_slowly(
-        rows, points, T, edges=edges, gate=0.2, kernel=0.1, sigma=0.03, share=share.astype(float) if shared else None
-    )
+    expected = sums_slowly(rows, points, T, edges=edges, gate=0.2, kernel=0.1, sigma=0.03)
     for got, want in zip((sums.information, sums.gradient, sums.feigned), expected, strict=True):
         np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-9 * np.abs(want).max())
     assert 0 < sums.matches <= sum(row is not None for row in rows)
-    many = found.sum(points, share, T, 0.2, 0.1, 0.03, 3)
+    many = found.sum(points, T, 0.2, 0.1, 0.03, 3)
     assert many.information.tobytes() == sums.information.tobytes()
 
 

@@ -101,6 +101,17 @@ def test_keyframe_file_that_is_not_whole_ends_the_store(tmp_path):
     assert len(KeyframeStore.open(tmp_path)) == 3
 
 
+def test_keyframe_files_that_a_power_loss_left_empty_end_the_store(tmp_path):
+    filled(tmp_path)
+    for name in ("000003.npz", "000004.npz"):
+        (tmp_path / name).write_bytes(bytes((tmp_path / name).stat().st_size))
+    left = KeyframeStore.open(tmp_path)
+    assert len(left) == 3
+    left.append(keyframe(3))
+    left.close()
+    assert len(KeyframeStore.open(tmp_path)) == 4
+
+
 def test_keyframe_file_that_was_changed_is_refused(tmp_path):
     filled(tmp_path)
     file = tmp_path / "000001.npz"

@@ -1,5 +1,7 @@
 """Registration of local maps: evidence for right and wrong places, windows, blur, reach, and the order of a search."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -129,6 +131,21 @@ def test_start_near_another_is_tried_once(rng):
     walk = Walk(rng)
     start = LoopStart(source="place", T_match_query=walk.truth(3, 15) @ se3.exp([0.01, 0, 0, 0.1, 0, 0]))
     assert verify(15, 3, maps_of(walk), (start,), walk.relative, newest=15, config=CONFIG).starts == 1
+
+
+def test_short_local_maps_are_enough_where_the_way_is_known_and_they_overlap(rng):
+    walk = Walk(rng, sigma=0.015)
+    walk.clouds[13:16] = [cloud[cloud[:, 0] > -1.0] for cloud in walk.clouds[13:16]]
+    far = CONFIG.max_smear
+    config = LoopConfig(before=5, after=5, apart=5, fine_smear=1e-3)
+    for least, longer in ((0.3, False), (1.0, True)):  # an overlap that the short maps do not have
+        maps = maps_of(walk, config)
+        asked = replace(config, min_overlap=least)
+        evidence = verify(15, 3, maps, (), walk.relative, newest=15, config=asked, sure=True)
+        assert near(evidence.T_match_query, walk.truth(3, 15), 0.05, 0.5)
+        assert maps.holds(15, 13, 15)
+        assert maps.holds(15, window_end(15, 10, walk.relative, far), 15) == longer
+    assert window_end(15, 10, walk.relative, far) < 13
 
 
 def test_keyframes_out_of_order_are_named(rng):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,9 @@ from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.families import FAMILIES, Family, vectors
 from heliograph.graph.model.records import FactorRecord
 from heliograph.graph.model.values import Values
+from heliograph.guard.npz import read_npz
 
-__all__ = ["KERNELS", "family_called", "load_graph", "name_of", "save_graph"]
+__all__ = ["DAMAGE", "KERNELS", "family_called", "load_graph", "name_of", "save_graph"]
 
 VERSION = 1
 
@@ -45,6 +45,8 @@ KERNELS: dict[str, type[kernels.Kernel]] = {
 }
 _LIE = {family.name: family for family in FAMILIES.values()}
 _Arrays = dict[str, NDArray[Any]]
+# What a table of contents that does not fit its arrays ends in.
+DAMAGE = (AttributeError, ArithmeticError, EOFError, LookupError, MemoryError, RecursionError, TypeError, ValueError)
 
 
 def save_graph(path: Path | str, graph: FactorGraph, values: Values) -> None:
@@ -111,8 +113,7 @@ def load_graph(path: Path | str, *, factors: Iterable[type[FactorRecord]] = ()) 
     known: list[type[FactorRecord]] = [PlaneSighting, *factors]
     own = {cls.__name__: cls for cls in known}
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = read_npz(path)
         contents = json.loads(arrays["contents"].tobytes().decode())
         if contents["version"] > VERSION:
             raise FormatError(
@@ -121,7 +122,7 @@ def load_graph(path: Path | str, *, factors: Iterable[type[FactorRecord]] = ()) 
         return _graph(contents, arrays, own, path), _values(contents, arrays)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror or error}); give a file of save_graph") from error
-    except (KeyError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except DAMAGE as error:
         raise FormatError(path, f"is no graph archive, or damaged ({error}); write it anew with save_graph") from error
 
 

@@ -225,5 +225,8 @@ class Policy:
 
     def restore(self, updates: int, savings: list[int]) -> None:
         """Go on after some updates, with their `savings`."""
+        relinearizations, steps = savings
+        if not all(type(number) is int and number >= 0 for number in (updates, relinearizations, steps)):
+            raise ValueError(f"{updates!r} updates with savings of {savings!r}")
         self.updates = updates
-        self.relinearizations.left, self.steps.left = savings
+        self.relinearizations.left, self.steps.left = relinearizations, steps

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.arrays import Array, Keys, Mask
-from heliograph.errors import GraphError
+from heliograph.errors import ConfigError, FormatError, GraphError
+from heliograph.graph.files.archive import DAMAGE
 from heliograph.graph.incremental.budget import Budget, Policy
 from heliograph.graph.incremental.cliques import CliqueRecord, clique_records
 from heliograph.graph.incremental.rejection import Rejection, doubtful_factors
@@ -331,7 +332,13 @@ class ISAM2:
         GraphError
             It holds factors whose class was not given, or does not fit.
         """
-        return _restored(*read_state(path, factors))
+        state, arrays, about = read_state(path, factors)
+        try:
+            return _restored(state, arrays, about)
+        except (GraphError, ConfigError, *DAMAGE) as error:
+            raise FormatError(
+                path, f"is no saved smoother, or damaged ({error}); save it again with ISAM2.save"
+            ) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpickled, (self._arrays(), self._about(), self._state.custom_classes())
@@ -368,7 +375,7 @@ def _restored(state: TreeState, arrays: Mapping[str, NDArray[Any]], about: Mappi
     smoother._state = state
     smoother._policy.restore(about["updates"], about["savings"])
     if smoother._rejection is not None:
-        smoother._rejection.restore(arrays)
+        smoother._rejection.restore(arrays, state)
     return smoother
 
 

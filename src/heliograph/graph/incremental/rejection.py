@@ -30,6 +30,7 @@ from heliograph.chi_square import chi_square_quantile
 from heliograph.errors import GraphError, UnderconstrainedError
 from heliograph.graph.incremental.agreement import Loop, loop_of, squared_disagreement
 from heliograph.graph.incremental.settings import OutlierRejection
+from heliograph.graph.incremental.state_check import check_columns
 from heliograph.graph.incremental.tree_state import TreeState
 from heliograph.graph.model.factor_graph import FactorGraph
 from heliograph.graph.model.outliers import geman_mcclure_weight, trusted_factors
@@ -350,9 +351,13 @@ class Rejection:
         state["doubtful.when"] = np.array([self.since, self.scale, self.scaled], dtype=np.float64)
         return state
 
-    def restore(self, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Take a state that `arrays` returned."""
-        for name in _COLUMNS:
-            setattr(self, name, np.array(arrays[f"doubtful.{name}"]))
+    def restore(self, arrays: Mapping[str, NDArray[Any]], state: TreeState) -> None:
+        """Take a state that `arrays` returned, of a smoother with this tree; ValueError where they do not fit."""
+        columns = {name: np.array(arrays[f"doubtful.{name}"]) for name in _COLUMNS}
+        check_columns(columns, state)
+        for name, column in columns.items():
+            setattr(self, name, column)
         since, self.scale, scaled = arrays["doubtful.when"].tolist()
+        if not np.isfinite([since, self.scale, scaled]).all():
+            raise ValueError(f"a scale of {self.scale}")
         self.since, self.scaled = int(since), int(scaled)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Iterable, Mapping
 from itertools import groupby
 from operator import contains
@@ -15,12 +14,14 @@ from numpy.typing import NDArray
 
 from heliograph.atomic import atomic_path
 from heliograph.errors import FormatError, GraphError
-from heliograph.graph.files.archive import KERNELS, family_called, name_of
+from heliograph.graph.files.archive import DAMAGE, KERNELS, family_called, name_of
 from heliograph.graph.incremental.custom_factors import CustomKind
+from heliograph.graph.incremental.state_check import check_state
 from heliograph.graph.incremental.tree_state import TreeState
 from heliograph.graph.model.factor import Factor
 from heliograph.graph.model.key_runs import KeyRuns
 from heliograph.graph.model.records import FactorRecord
+from heliograph.guard.npz import read_npz
 
 __all__ = ["read_state", "state_arrays", "state_from", "write_state"]
 
@@ -85,9 +86,13 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
     classes = {cls.__name__: cls for cls in factors if issubclass(cls, Factor)}
     contents = json.loads(arrays["contents"].tobytes().decode())
     state = TreeState()
-    state._keys = arrays["keys"].tolist()
-    state._number = {state._keys[number]: number for number in arrays["numbers"].tolist()}
-    state._left = KeyRuns.of([(first, last) for first, last in arrays["left"].tolist()])
+    state.native.load(arrays["tree"].tobytes())
+    state._keys = _integers(arrays, "keys", 1).tolist()
+    state._number = {state._keys[number]: number for number in _within(arrays, "numbers", len(state._keys))}
+    state._left = KeyRuns.of([(first, last) for first, last in _integers(arrays, "left", 2).tolist()])
+    counts = [count for _, count in contents["families"]]
+    if not all(type(count) is int and count > 0 for count in counts) or sum(counts) != state.native.slots:
+        raise ValueError("its parts do not belong together: it needs a family for each variable")
     for name, count in contents["families"]:
         state._families += [family_called(name)] * count
     for entry in contents["kinds"]:
@@ -98,21 +103,40 @@ def state_from(arrays: Mapping[str, NDArray[Any]], factors: Iterable[type[Factor
         number = entry["number"]
         state.staging.kinds[(entry["code"], own, families, entry["form"], kernel, entry["rows"], shapes)] = number
         if own is not None:
-            members = _own_members(CustomKind(own, families), arrays, f"own{number}", len(shapes))
+            members = _own_members(CustomKind(own, families), arrays, f"own{number}", shapes)
             state.staging.custom.kinds[number] = members
     for k, name in enumerate(contents.get("early", ())):  # an earlier version had none
         family = family_called(name)
         state.early.values.insert(arrays[f"early{k}.keys"], family.unpack(arrays[f"early{k}.packed"]))
-    state.native.load(arrays["tree"].tobytes())
-    slots = {state.native.slots, len(state._keys), len(state._families)}
-    if state.native.variables != len(state._number) or len(slots) != 1:
-        raise ValueError("its parts do not belong together")
     state._switched = {int(number): weight for number, weight in arrays["switched"].tolist()}
+    check_state(state, len(state._families))
     return state
 
 
-def _own_members(own: CustomKind, arrays: Mapping[str, NDArray[Any]], prefix: str, data: int) -> CustomKind:
-    items = [arrays[f"{prefix}.data{d}"] for d in range(data)]
+def _integers(arrays: Mapping[str, NDArray[Any]], name: str, ndim: int) -> NDArray[np.int64]:
+    array = arrays[name]
+    if array.dtype != np.int64 or array.ndim != ndim:
+        raise ValueError(f"'{name}' holds no list of whole numbers")
+    return array
+
+
+def _within(arrays: Mapping[str, NDArray[Any]], name: str, size: int) -> list[int]:
+    numbers = _integers(arrays, name, 1)
+    if len(numbers) and not (numbers.min() >= 0 and numbers.max() < size):
+        raise ValueError(f"'{name}' names variables that there are not")
+    return list(numbers.tolist())
+
+
+def _own_members(
+    own: CustomKind, arrays: Mapping[str, NDArray[Any]], prefix: str, shapes: tuple[tuple[int, ...], ...]
+) -> CustomKind:
+    items = [arrays[f"{prefix}.data{d}"] for d in range(len(shapes))]
+    count = len(arrays[f"{prefix}.numbers"])
+    for item, shape in zip(items, shapes, strict=True):
+        if item.shape != (count, *shape) or item.dtype != np.float64 or not np.isfinite(item).all():
+            raise ValueError(f"the data of {own.factor.__name__} are of another shape, or not finite")
+    if arrays[f"{prefix}.scopes"].dtype != np.int32:
+        raise ValueError(f"the variables of {own.factor.__name__} are no whole numbers")
     for row, number in enumerate(arrays[f"{prefix}.numbers"].tolist()):
         own.scopes[number] = arrays[f"{prefix}.scopes"][row]
         own.data[number] = tuple(item[row] for item in items)
@@ -158,8 +182,7 @@ def read_state(path: Path | str, factors: Iterable[type[FactorRecord]]) -> tuple
     """
     path = Path(path)
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = read_npz(path)
         about = json.loads(arrays["about"].tobytes().decode())
         if about["version"] > VERSION:
             raise FormatError(
@@ -173,5 +196,5 @@ def read_state(path: Path | str, factors: Iterable[type[FactorRecord]]) -> tuple
         return state_from(arrays, factors), arrays, about
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror or error}); give a file of ISAM2.save") from error
-    except (KeyError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except DAMAGE as error:
         raise FormatError(path, f"is no saved smoother, or damaged ({error}); save it again with ISAM2.save") from error

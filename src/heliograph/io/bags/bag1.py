@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-import bz2
 import heapq
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
-import lz4.frame
 from rosbags.interfaces import Connection
-from rosbags.rosbag1 import Reader, ReaderError
+from rosbags.rosbag1 import Reader
+from rosbags.rosbag1.reader import decompressors
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
+from heliograph.guard.boundary import outside, outside_each
+from heliograph.guard.limits import ReadLimits
 from heliograph.io.bags.storage import Channel, RawBytes, note, ros2_name
+from heliograph.io.bags.unpack import unpack
 
 __all__ = ["Bag1Storage"]
 
@@ -35,6 +38,12 @@ def _header(body: memoryview) -> dict[str, bytes]:
     return fields
 
 
+def _size(header: Mapping[str, bytes]) -> int | None:
+    """Return how many bytes a chunk says that it unpacks to."""
+    size = header.get("size", b"")
+    return int.from_bytes(size, "little") if len(size) == 4 else None
+
+
 def _records(body: memoryview, at: int = 0) -> Iterator[tuple[dict[str, bytes], memoryview]]:
     """Yield header and data of the records; EOFError where the last is cut off."""
     while at < len(body):
@@ -48,17 +57,6 @@ def _records(body: memoryview, at: int = 0) -> Iterator[tuple[dict[str, bytes], 
         at += 8 + size + length
 
 
-def _decompress(kind: bytes, data: memoryview) -> memoryview:
-    """Return a chunk's records; of one that is cut off, as much as can be had."""
-    if kind == b"none":
-        return data
-    if kind == b"bz2":
-        return memoryview(bz2.BZ2Decompressor().decompress(data))
-    if kind == b"lz4":
-        return memoryview(lz4.frame.LZ4FrameDecompressor().decompress(bytes(data)))
-    raise ValueError(f"chunk compression '{kind.decode(errors='replace')}' is not known")
-
-
 class Bag1Storage:
     """One ROS 1 bag.
 
@@ -68,6 +66,8 @@ class Bag1Storage:
         The file.
     events : list of Event
         Damage is added here.
+    limits : ReadLimits
+        How much a chunk may unpack to.
 
     Raises
     ------
@@ -75,8 +75,9 @@ class Bag1Storage:
         Not a ROS 1 bag, or nothing in it is readable.
     """
 
-    def __init__(self, path: Path, events: list[Event]) -> None:
+    def __init__(self, path: Path, events: list[Event], limits: ReadLimits | None = None) -> None:
         self.path = path
+        self._limits = limits or ReadLimits()
         self.channels: list[Channel] = []
         self.events = events
         self.start_ns, self.end_ns = 0, 0
@@ -87,9 +88,10 @@ class Bag1Storage:
                 raise FormatError(path, "not a ROS 1 bag (version 2.0): check the file's name and download")
         reader = Reader(path)
         try:
-            reader.open()
-        except (ReaderError, AssertionError, *DAMAGE) as error:
-            self._open_damaged(str(error))
+            with outside(path):
+                reader.open()
+        except (FormatError, *DAMAGE) as error:
+            self._open_damaged(getattr(error, "reason", str(error)))
         else:
             self._reader = reader
             self._open_indexed(reader)
@@ -113,11 +115,18 @@ class Bag1Storage:
         if not connections:
             return
         try:
-            for connection, time_ns, data in reader.messages(connections, start=start_ns):
+            for connection, time_ns, data in outside_each(self.path, reader.messages(connections, start=start_ns)):
                 yield channels[connection.id], time_ns, memoryview(data)
-        except (ReaderError, AssertionError, *DAMAGE) as error:
-            message = f"{self.path.name} is damaged ({error}); what was read before that is used"
+        except FormatError as error:
+            message = f"{self.path.name} {error.reason}; what was read before that is used"
             note(self.events, Event(code="truncated", message=message))
+
+    def _unpacked(self, kind: str, data: bytes) -> bytes:
+        """Return a chunk's content; where rosbags would unpack whatever comes, this one ends at the limit."""
+        try:
+            return bytes(unpack(kind, data, self._limits))
+        except ValueError as error:
+            raise FormatError(self.path, f"is damaged: {error}") from error
 
     @staticmethod
     def _channel(connection: Connection) -> Channel:
@@ -125,12 +134,17 @@ class Bag1Storage:
         return Channel(topic=connection.topic, message_type=kind, encoding="ros1", count=connection.msgcount)
 
     def _open_indexed(self, reader: Reader) -> None:
+        kinds = {function: kind for kind, function in decompressors.items()}
+        reader.chunks = {
+            at: chunk._replace(decompressor=partial(self._unpacked, kinds[chunk.decompressor]))
+            for at, chunk in reader.chunks.items()
+        }
         self.channels = [self._channel(c) for c in reader.connections]
         if any(c.count for c in self.channels):
             self.start_ns, self.end_ns = reader.start_time, reader.end_time - 1
 
     def _open_damaged(self, reason: str) -> None:
-        salvage = _Salvage(self.path)
+        salvage = _Salvage(self.path, self._limits)
         count = sum(c.count for c in salvage.channels)
         if count == 0:
             raise FormatError(self.path, f"no readable message in it ({reason}); record again")
@@ -143,8 +157,8 @@ class Bag1Storage:
 class _Salvage:
     """A bag read from its start, chunk by chunk, without its index."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, limits: ReadLimits) -> None:
+        self._path, self._limits = path, limits
         names: dict[int, tuple[str, str]] = {}
         counts: dict[int, int] = {}
         times: list[int] = []
@@ -185,7 +199,8 @@ class _Salvage:
                 if header["op"][0] != CHUNK:
                     continue
                 found: list[tuple[int, int, int, memoryview]] = []
-                self._read_chunk(_decompress(header["compression"], data), names, found)
+                kind = header["compression"].decode(errors="replace")
+                self._read_chunk(unpack(kind, data, self._limits, size=_size(header), cut_off=True), names, found)
                 heapq.heapify(found)
                 while found:
                     time_ns, _, key, payload = heapq.heappop(found)

@@ -13,14 +13,15 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import BinaryIO
 
-import lz4.frame
-
 from heliograph.data import Event
 from heliograph.errors import FormatError
-from heliograph.io.bags.storage import Channel, RawBytes, merge_lazily, note, ros2_name, zstd_beginning, zstd_decompress
+from heliograph.guard.limits import MAX_NS, ReadLimits
+from heliograph.io.bags.storage import Channel, RawBytes, merge_lazily, note, ros2_name
+from heliograph.io.bags.unpack import unpack
 
 __all__ = ["McapStorage"]
 
@@ -38,9 +39,13 @@ FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = (
 FOOTER_BYTES = 9 + 20 + 8
 RECORD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-END_OF_TIME_NS = 2**63 - 1
+END_OF_TIME_NS = MAX_NS
+CLOCK_SET_BACK_NS = 800_000_000  # by which no recorder writes a message late
 ENCODINGS = {"cdr": "cdr", "ros1": "ros1"}
 DAMAGE = (struct.error, ValueError, IndexError, EOFError, RuntimeError, OSError, OverflowError)
+
+
+_USUAL = ReadLimits()
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,24 +74,13 @@ def _records(body: memoryview) -> Iterator[tuple[int, memoryview]]:
         at += size
 
 
-def _decompress(body: memoryview) -> memoryview:
+def _decompress(body: memoryview, limits: ReadLimits = _USUAL) -> memoryview:
     """Return the records of a chunk; of one that is cut off, as much as can be had."""
     (_, _, size, _) = struct.unpack_from("<QQQI", body, 0)
     compression, at = _text(body, 28)
     (stored,) = struct.unpack_from("<Q", body, at)
     data = body[at + 8 : at + 8 + stored]
-    cut_off = len(data) < stored
-    if compression == "":
-        return data
-    if compression == "zstd":
-        content = zstd_beginning(data) if cut_off else zstd_decompress(data)
-    elif compression == "lz4":
-        content = lz4.frame.LZ4FrameDecompressor().decompress(bytes(data)) if cut_off else lz4.frame.decompress(data)
-    else:
-        raise ValueError(f"chunk compression '{compression}' is not known")
-    if len(content) != size and not cut_off:
-        raise ValueError(f"a chunk holds {len(content)} bytes instead of {size}")
-    return memoryview(content)
+    return unpack(compression, data, limits, size=size, cut_off=len(data) < stored)
 
 
 class McapStorage:
@@ -98,6 +92,8 @@ class McapStorage:
         The file.
     events : list of Event
         Damage is added here.
+    limits : ReadLimits
+        How much a chunk may unpack to.
 
     Raises
     ------
@@ -105,8 +101,9 @@ class McapStorage:
         Not an MCAP file, or nothing in it is readable.
     """
 
-    def __init__(self, path: Path, events: list[Event]) -> None:
+    def __init__(self, path: Path, events: list[Event], limits: ReadLimits | None = None) -> None:
         self.path = path
+        self._limits = limits or _USUAL
         self.channels: list[Channel] = []
         self.events = events
         self.start_ns, self.end_ns = END_OF_TIME_NS, 0
@@ -135,12 +132,30 @@ class McapStorage:
         if self._loose:
             yield from self._read_loose(wanted, start_ns)
             return
+        if self._clock_was_set_back():
+            # Sorted by time, what came after the step would lie between what came before it.
+            for chunk in sorted(self._chunks, key=lambda chunk: chunk.offset):
+                yield from self._read_chunk(chunk, wanted, start_ns)
+            return
         chunks = [
             (chunk.start_ns, partial(self._read_chunk, chunk, wanted, start_ns))
             for chunk in self._chunks
             if chunk.end_ns >= start_ns and (chunk.channels is None or not chunk.channels.isdisjoint(wanted))
         ]
         yield from merge_lazily(chunks, key=lambda item: item[1])
+
+    def _clock_was_set_back(self) -> bool:
+        """Whether the recorder's clock ran back between two chunks, as their spans tell.
+
+        Writers that put each topic into chunks of its own overlap by any amount: only chunks of one topic are compared.
+        """
+        last: dict[int, int] = {}
+        for chunk in sorted((chunk for chunk in self._chunks if chunk.end_ns), key=lambda chunk: chunk.offset):
+            keys = chunk.channels if chunk.channels is not None else frozenset(self._channels)
+            if any(chunk.start_ns < last.get(key, 0) - CLOCK_SET_BACK_NS for key in keys):
+                return True
+            last.update(dict.fromkeys(keys, chunk.end_ns))
+        return False
 
     def _by_id(self) -> dict[int, Channel]:
         return {
@@ -187,7 +202,7 @@ class McapStorage:
                 self._chunks.append(self._chunk_from_index(record))
             elif opcode == STATISTICS:
                 messages, _, _, _, _, chunks, first, last = struct.unpack_from("<QHIIIIQQ", record, 0)
-                self.start_ns, self.end_ns = (first, last) if messages else (END_OF_TIME_NS, 0)
+                self.start_ns, self.end_ns = (first, min(last, END_OF_TIME_NS)) if messages else (END_OF_TIME_NS, 0)
                 (length,) = struct.unpack_from("<I", record, 42)
                 self._counts = dict(struct.iter_unpack("<HQ", record[46 : 46 + length]))
                 complete = bool(self._channels) and (messages == 0 or chunks == len(self._chunks) > 0)
@@ -249,7 +264,7 @@ class McapStorage:
     def _index_chunk(self, record: memoryview, offset: int) -> None:
         keys: set[int] = set()
         try:
-            for opcode, inner in _records(_decompress(record)):
+            for opcode, inner in _records(_decompress(record, self._limits)):
                 self._read_definition(opcode, inner)
                 if opcode == MESSAGE:
                     keys.add(self._count_message(inner))
@@ -281,7 +296,7 @@ class McapStorage:
         try:
             self._file.seek(chunk.offset + RECORD.size)
             body = memoryview(self._file.read(max(0, min(chunk.length, self._size) - RECORD.size)))
-            for opcode, record in _records(_decompress(body)):
+            for opcode, record in _records(_decompress(body, self._limits)):
                 if opcode != MESSAGE:
                     continue
                 key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(record, 0)
@@ -289,14 +304,15 @@ class McapStorage:
                     found.append((wanted[key], time_ns, record[MESSAGE_HEAD.size :]))
         except DAMAGE as error:
             self._note_damage(chunk.offset, chunk.length, error)
-        found.sort(key=lambda item: item[1])
+        if all(after[1] >= before[1] - CLOCK_SET_BACK_NS for before, after in pairwise(found)):
+            found.sort(key=lambda item: item[1])
         return iter(found)
 
     def _read_loose(self, wanted: dict[int, Channel], start_ns: int) -> Iterator[RawBytes]:
         """Read a file whose messages are not in chunks: they come in the order in which they were written."""
         try:
             for opcode, record, _ in self._top_level():
-                records = _records(_decompress(record)) if opcode == CHUNK else iter([(opcode, record)])
+                records = _records(_decompress(record, self._limits)) if opcode == CHUNK else iter([(opcode, record)])
                 for inner, body in records:
                     if inner == MESSAGE:
                         key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(body, 0)

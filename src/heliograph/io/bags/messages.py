@@ -24,6 +24,7 @@ Decoder = Callable[[str, int, memoryview, str], list[RawMessage]]
 """Topic, time received [ns], payload, encoding -> raw records (one, or one an edge for tf)."""
 
 MAX_TRANSFORM_M = 1e9  # [m]
+_ORDER_SAMPLES = 100  # points that tell the byte order
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 LIVOX_COLUMNS = {
     "offset_time": ("u4", 0),
@@ -144,8 +145,35 @@ def _decode_cloud(topic: str, received_ns: int, payload: memoryview, encoding: s
     data = payload[cursor.at : cursor.at + size]
     # Some drivers leave row_step unset; a sane one covers its points.
     row_step = row_step if row_step >= width * point_step else width * point_step
-    columns = point_columns(data, tuple(fields), ">" if big else "<", (height, width), (row_step, point_step))
-    return [RawCloud(topic=topic, received_ns=received_ns, stamp_ns=stamp_ns, frame_id=frame, columns=columns)]
+    shape, steps = (height, width), (row_step, point_step)
+    columns = point_columns(data, tuple(fields), ">" if big else "<", shape, steps)
+    swapped = _contradicts_order(columns)
+    if swapped:
+        columns = point_columns(data, tuple(fields), "<" if big else ">", shape, steps)
+    return [
+        RawCloud(
+            topic=topic, received_ns=received_ns, stamp_ns=stamp_ns, frame_id=frame, columns=columns, swapped=swapped
+        )
+    ]
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def _contradicts_order(columns: dict[str, NDArray[np.generic]]) -> bool:
+    """Tell whether ``is_bigendian`` lies: coordinates are lengths in one order of bytes and noise in the other."""
+    axes = [columns[axis].reshape(-1) for axis in "xyz" if axis in columns]
+    if len(axes) < 3 or any(axis.dtype.kind != "f" for axis in axes) or axes[0].size == 0:
+        return False
+    step = max(1, axes[0].size // _ORDER_SAMPLES)
+    sample = [np.ascontiguousarray(axis[::step]) for axis in axes]
+    here, there = _lengths(sample), _lengths([axis.view(axis.dtype.newbyteorder()) for axis in sample])
+    return here < 0.05 * len(sample[0]) and there > 0.3 * len(sample[0])
+
+
+def _lengths(axes: list[NDArray[np.generic]]) -> int:
+    """Count the points whose three coordinates are all lengths that a LiDAR can see, and not all zero."""
+    size = np.abs(np.stack([axis.astype(np.float64) for axis in axes]))
+    seen = (size == 0.0) | ((size > 1e-5) & (size < 1e5))
+    return int(np.count_nonzero(seen.all(axis=0) & size.any(axis=0)))
 
 
 def _decode_livox(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:

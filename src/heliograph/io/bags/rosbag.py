@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import shutil
-import struct
+import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,25 +17,30 @@ from ruamel.yaml.error import YAMLError
 
 from heliograph.data import Event
 from heliograph.errors import DataError, FormatError
+from heliograph.guard.boundary import DAMAGE, reason
+from heliograph.guard.limits import ReadLimits
 from heliograph.io.bags.bag1 import Bag1Storage
 from heliograph.io.bags.mcap import McapStorage
 from heliograph.io.bags.messages import DECODERS, KINDS
 from heliograph.io.bags.sqlite import SqliteStorage
-from heliograph.io.bags.storage import RawBytes, Storage, merge_lazily, note, zstd_decompress, zstd_open
+from heliograph.io.bags.storage import RawBytes, Storage, merge_lazily, note
+from heliograph.io.bags.unpack import ZSTD_MAGIC, unpack, unpack_file
 from heliograph.io.raw import RawMessage, RawSource, TopicInfo
 from heliograph.io.registry import PACKET_DRIVERS, PacketContext, PacketDecoder, packet_decoder
 
 __all__ = ["RosbagSource", "open_rosbag"]
 
 SUFFIXES = (".mcap", ".bag", ".db3", ".active", ".zstd", ".zst")
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 STORAGES: dict[bytes, type[McapStorage] | type[Bag1Storage] | type[SqliteStorage]] = {
     b"\x89MCAP0": McapStorage,
     b"#ROSBAG": Bag1Storage,
     b"SQLite format 3": SqliteStorage,
 }
 STRING = "std_msgs/msg/String"
-MALFORMED = (struct.error, DataError, ValueError, IndexError, TypeError)
+_MAX_METADATA = 1_000_000  # bytes
+_YAML_ALIAS = re.compile(r"(?m)^[^#'\"\n]*[:\-\[,]\s*\*\w")
+NO_METADATA: tuple[type[Exception], ...] = (YAMLError, FormatError, AttributeError, *DAMAGE)
+MALFORMED: tuple[type[Exception], ...] = (DataError, FormatError, *DAMAGE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +59,14 @@ class _OpenPart:
     zstd_messages: bool
 
 
-def open_rosbag(paths: Sequence[Path]) -> RawSource | None:
+def open_rosbag(paths: Sequence[Path], limits: ReadLimits | None = None) -> RawSource | None:
     """Open ROS recordings; None where no path is one.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+    limits : ReadLimits, optional
+        How much they may unpack to.
 
     Raises
     ------
@@ -71,7 +81,10 @@ def open_rosbag(paths: Sequence[Path]) -> RawSource | None:
         if not parts:
             raise FormatError(path, "not a ROS recording like the other paths given; open it by itself")
     return RosbagSource(
-        [part for parts in found for part in parts], description=", ".join(p.name for p in paths), events=events
+        [part for parts in found for part in parts],
+        description=", ".join(p.name for p in paths),
+        events=events,
+        limits=limits or ReadLimits(),
     )
 
 
@@ -111,14 +124,12 @@ def _described_parts(folder: Path, events: list[Event]) -> list[_Part]:
     """Return the files that ``metadata.yaml`` lists, or those that are there where it cannot be used."""
     path = folder / "metadata.yaml"
     try:
-        content: Any = YAML(typ="safe").load(path.read_text())["rosbag2_bagfile_information"]
-        names = [PurePosixPath(name).name for name in content["relative_file_paths"]]
-        mode = (content.get("compression_mode") or "").lower()
-    except (YAMLError, KeyError, TypeError, UnicodeDecodeError) as error:
-        note(
-            events,
-            Event(code="bad-metadata", message=f"{path} is not usable ({error!r}); the files beside it are read"),
-        )
+        content = _metadata(path)
+        names = [PurePosixPath(str(name)).name for name in content["relative_file_paths"]]
+        mode = str(content.get("compression_mode") or "").lower()
+    except NO_METADATA as error:
+        message = f"{path} {reason('is not usable', error)}; the files beside it are read"
+        note(events, Event(code="bad-metadata", message=message))
         names, mode = sorted(p.name for p in folder.iterdir() if p.suffix in SUFFIXES), ""
     there = [name for name in names if (folder / name).is_file()]
     if not there:
@@ -132,6 +143,16 @@ def _described_parts(folder: Path, events: list[Event]) -> list[_Part]:
     return [_Part(folder / name, mode == "message") for name in there]
 
 
+def _metadata(path: Path) -> Any:  # noqa: ANN401 - whatever the file holds
+    """Return what a ``metadata.yaml`` says; one that refers to itself, which may stand for any amount, is refused."""
+    if path.stat().st_size > _MAX_METADATA:
+        raise FormatError(path, f"is larger than {_MAX_METADATA / 1e6:.0f} MB")
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if _YAML_ALIAS.search(text):
+        raise FormatError(path, "refers to parts of itself")
+    return YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
+
+
 class RosbagSource:
     """The messages of one ROS recording, of any number of files.
 
@@ -143,11 +164,14 @@ class RosbagSource:
         For messages and reports.
     events : list of Event
         What was noticed so far; damage is added.
+    limits : ReadLimits
+        How much they may unpack to.
     """
 
-    def __init__(self, parts: list[_Part], *, description: str, events: list[Event]) -> None:
+    def __init__(self, parts: list[_Part], *, description: str, events: list[Event], limits: ReadLimits) -> None:
         self.description = description
         self.events = events
+        self._limits = limits
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._files = tuple(part.path for part in parts)
         self._parts: list[_OpenPart] = []
@@ -156,7 +180,11 @@ class RosbagSource:
         except BaseException:
             self.close()
             raise
-        self.topics = self._collect_topics()
+        try:
+            self.topics = self._collect_topics()
+        except FormatError:
+            self.close()
+            raise
         self._types = {topic.name: topic.message_type for topic in self.topics}
         self._packets: dict[str, PacketDecoder] = {}
 
@@ -177,25 +205,43 @@ class RosbagSource:
         with path.open("rb") as file:
             head = file.read(16)
         if head.startswith(ZSTD_MAGIC):
-            return self._open_storage(self._unpack_copy(path))
+            return self._open_unpacked(path)
         for magic, storage in STORAGES.items():
             if head.startswith(magic):
-                return storage(path, self.events)
+                return storage(path, self.events, self._limits)
         raise FormatError(
             path, "neither MCAP, ROS bag nor SQLite by its first bytes; check the file's name and download"
         )
 
-    def _unpack_copy(self, path: Path) -> Path:
-        """Return a temporary copy of a zstd-compressed file: readers need to seek."""
+    def _open_unpacked(self, path: Path) -> Storage:
+        """Open a temporary copy of a zstd-compressed file, for readers seek; what is said names the file itself."""
         if self._folder is None:
             self._folder = tempfile.TemporaryDirectory(prefix="heliograph-")
         target = Path(self._folder.name) / f"{len(self._parts)}-{path.stem}"
         try:
-            with path.open("rb") as packed, zstd_open(packed) as content, target.open("wb") as out:
-                shutil.copyfileobj(content, out, 1 << 20)
-        except (OSError, EOFError, ValueError, RuntimeError) as error:
-            note(self.events, Event(code="truncated", message=f"{path.name} does not unpack to its end ({error})"))
-        return target
+            damage = unpack_file(path, target, self._limits)
+        except ValueError as error:
+            target.unlink(missing_ok=True)
+            raise FormatError(path, str(error)) from error
+        except OSError as error:
+            target.unlink(missing_ok=True)
+            raise FormatError(path, reason(f"cannot be unpacked into {target.parent}", error)) from error
+        if damage:
+            message = f"{path.name} does not unpack to its end ({damage}); the part before is used"
+            note(self.events, Event(code="truncated", message=message))
+        with target.open("rb") as file:
+            nested = file.read(len(ZSTD_MAGIC)) == ZSTD_MAGIC
+        if nested:
+            raise FormatError(path, "is compressed twice; unpack it with `zstd -d` and open what comes out")
+        said = len(self.events)
+        try:
+            return self._open_storage(target)
+        except FormatError as error:
+            raise FormatError(path, error.reason) from error
+        finally:  # the copy's name says nothing to anybody
+            self.events[said:] = [
+                replace(event, message=event.message.replace(target.name, path.name)) for event in self.events[said:]
+            ]
 
     def _collect_topics(self) -> tuple[TopicInfo, ...]:
         found: dict[str, TopicInfo] = {}
@@ -205,6 +251,10 @@ class RosbagSource:
                 known = found.get(channel.topic)
                 info = TopicInfo(name=channel.topic, message_type=channel.message_type, kind=kind, count=channel.count)
                 found[channel.topic] = replace(known, count=known.count + channel.count) if known else info
+        if len(found) > self._limits.topics:
+            raise FormatError(
+                self._files[0], f"holds {len(found)} topics, more than any recording; the file is damaged"
+            )
         return tuple(sorted(found.values(), key=lambda topic: topic.name))
 
     @property
@@ -239,7 +289,7 @@ class RosbagSource:
 
     def _payloads(self, topics: frozenset[str], start_ns: int) -> Iterator[RawBytes]:
         streams = [
-            (max(part.storage.start_ns, start_ns), partial(_read, part, topics, start_ns, self.events))
+            (max(part.storage.start_ns, start_ns), partial(_read, part, topics, start_ns, self.events, self._limits))
             for part in self._parts
             if part.storage.end_ns >= start_ns
         ]
@@ -281,13 +331,15 @@ def _kind(topic: str, message_type: str, encoding: str) -> str:
     return KINDS.get(message_type, "other")
 
 
-def _read(part: _OpenPart, topics: frozenset[str], start_ns: int, events: list[Event]) -> Iterator[RawBytes]:
+def _read(
+    part: _OpenPart, topics: frozenset[str], start_ns: int, events: list[Event], limits: ReadLimits
+) -> Iterator[RawBytes]:
     for channel, received_ns, payload in part.storage.messages(topics, start_ns):
         if not part.zstd_messages:
             yield channel, received_ns, payload
             continue
         try:
-            content = memoryview(zstd_decompress(payload))
+            content = unpack("zstd", payload, limits)
         except ValueError as error:
             note_bad_message(events, channel.topic, received_ns, error)
             continue

@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 import heapq
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import BinaryIO, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from heliograph.data import Event
 
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
-
-__all__ = [
-    "Channel",
-    "RawBytes",
-    "Storage",
-    "merge_lazily",
-    "note",
-    "ros2_name",
-    "zstd_beginning",
-    "zstd_decompress",
-    "zstd_open",
-]
+__all__ = ["Channel", "RawBytes", "Storage", "merge_lazily", "note", "ros2_name"]
 
 T = TypeVar("T")
 
@@ -116,26 +100,3 @@ def merge_lazily(sources: Iterable[tuple[int, Callable[[], Iterator[T]]]], key: 
             break
         else:
             heapq.heappop(heap)
-
-
-def zstd_decompress(data: bytes | memoryview) -> bytes:
-    """Return the content of zstd frames; ValueError where they are damaged."""
-    try:
-        content: bytes = zstd.decompress(data)
-    except zstd.ZstdError as error:
-        raise ValueError(str(error)) from error
-    return content
-
-
-def zstd_beginning(data: bytes | memoryview) -> bytes:
-    """Return what a zstd frame that is cut off still holds."""
-    try:
-        content: bytes = zstd.ZstdDecompressor().decompress(data)
-    except zstd.ZstdError as error:
-        raise ValueError(str(error)) from error
-    return content
-
-
-def zstd_open(stream: BinaryIO) -> zstd.ZstdFile:
-    """Return a readable binary stream of the content of a zstd file."""
-    return zstd.open(stream, "rb")

@@ -7,13 +7,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.errors import FormatError, MissingDependencyError
+from heliograph.errors import FormatError, HeliographError, MissingDependencyError
+from heliograph.guard.boundary import reason
 from heliograph.io.files.clouds import read_columns
 
 __all__ = ["POINT_SUFFIXES", "read_points"]
 
 _TEXT = (".xyz", ".txt", ".csv", ".asc", ".pts")
 _LAS = (".las", ".laz")
+_MAX_LAS_RATIO = 300  # LAZ of points that are all the same
 POINT_SUFFIXES = (".ply", ".pcd", *_LAS, *_TEXT)
 
 
@@ -60,11 +62,21 @@ def _read_las(path: Path) -> NDArray[np.float64]:
             f"reading {path.suffix} needs laspy: pip install 'heliograph[las]'; or convert it to .ply or .pcd"
         ) from error
     try:
-        return np.asarray(laspy.read(str(path)).xyz, dtype=np.float64)
+        with laspy.open(str(path)) as file:
+            claimed = int(file.header.point_count) * int(file.header.point_format.size)
+            if claimed > _MAX_LAS_RATIO * path.stat().st_size:
+                raise FormatError(path, f"promises {file.header.point_count} points, more than the file can hold")
+            return np.asarray(file.read().xyz, dtype=np.float64)
+    except HeliographError:
+        raise
     except OSError as error:
-        raise FormatError(path, f"cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # laspy has errors of its own, and lets those of its decoders through
-        raise FormatError(path, f"is not a LAS file that can be read: {error}") from error
+        raise FormatError(path, reason("cannot be read", error)) from error
+    except (
+        BaseException
+    ) as error:  # laspy has errors of its own; its decoder in Rust ends in one that is no `Exception`
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
+            raise
+        raise FormatError(path, reason("is not a LAS file that can be read", error)) from error
 
 
 def _read_text(path: Path) -> NDArray[np.float64]:

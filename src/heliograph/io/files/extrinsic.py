@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from heliograph.atomic import write_text
 from heliograph.data import ImuClock, Rig
 from heliograph.errors import ConfigError, closest
+from heliograph.guard.limits import MAX_NS
 from heliograph.io.files.params_yaml import read_params_yaml
 from heliograph.lie import so3
 
@@ -65,7 +66,7 @@ def read_extrinsic(path: Path | str) -> Rig:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"extrinsic {path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of numbers of thousands of digits
         raise ConfigError(f"extrinsic {path}: is not TOML: {error}") from error
     clock = _clock(path, content.pop(_CLOCK, {}))
     content.pop(_NOTES, None)
@@ -138,7 +139,7 @@ def _clock(path: Path, table: object) -> ImuClock:
         )
     offset, drift_ppm = (float(_numbers(path, {k: table.get(k, 0.0)}, k, ())) for k in _CLOCK_KEYS[:2])
     reference_ns = table.get("reference_ns", 0)
-    if isinstance(reference_ns, bool) or not isinstance(reference_ns, int):
+    if isinstance(reference_ns, bool) or not isinstance(reference_ns, int) or abs(reference_ns) > MAX_NS:
         raise ConfigError(f"extrinsic {path}: 'reference_ns' must be a whole number of nanoseconds")
     if drift_ppm != 0.0 and "reference_ns" not in table:
         raise ConfigError(f"extrinsic {path}: [{_CLOCK}] has a drift, so give 'reference_ns': when the offset holds")
@@ -165,7 +166,7 @@ def _numbers(path: Path, table: Mapping[str, Any], key: str, shape: tuple[int, .
     """Return an array of a shape; a flat list of the right length will do."""
     try:
         values = np.array(table[key], dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.empty(0)
     if values.size != np.prod(shape) or values.shape not in (shape, (values.size,)) or not np.isfinite(values).all():
         raise ConfigError(f"extrinsic {path}: '{key}' must be {'x'.join(map(str, shape))} finite numbers")

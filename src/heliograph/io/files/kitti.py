@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
+from heliograph.guard.limits import MAX_NS
 from heliograph.io.files.tum import parse_seconds
 from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo
 from heliograph.lie import se3
@@ -83,8 +84,8 @@ class _Folder:
     def _scan(self, path: Path, stamp_ns: int) -> NDArray[np.float32] | None:
         try:
             return _read_points(path)
-        except (ValueError, OSError) as error:
-            message = f"{path.name} cannot be read ({error}); the scan is left out"
+        except (ValueError, OSError, MemoryError) as error:
+            message = f"{path.name} cannot be read ({str(error)[:100]}); the scan is left out"
             self._note(Event(code="damaged-scan", message=message, stamp_ns=stamp_ns))
             return None
 
@@ -154,7 +155,7 @@ class _RawDrive(_Folder):
         for number, path in self._oxts.items():
             stamp = int(self._oxts_times[number])
             try:
-                values = [float(word) for word in path.read_text(encoding="utf-8").split()]
+                values = [float(word) for word in path.read_text(encoding="utf-8", errors="replace").split()]
             except (ValueError, OSError):
                 values = []
             if len(values) < _OXTS_VALUES - 5:
@@ -205,7 +206,7 @@ def _fix(values: Sequence[float], stamp: int) -> RawFix:
 def _read_dates(path: Path) -> NDArray[np.int64]:
     """Read lines such as ``2011-09-26 13:02:25.594360375`` as nanoseconds since 1970."""
     try:
-        lines = path.read_text(encoding="utf-8").split("\n")
+        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     except OSError as error:
         raise FormatError(
             path, f"cannot be read ({error.strerror}); the drive cannot be used without its stamps"
@@ -214,16 +215,24 @@ def _read_dates(path: Path) -> NDArray[np.int64]:
     for number, line in enumerate(lines, start=1):
         if line.strip():
             try:
-                stamps.append(int(np.datetime64(line.strip(), "ns").astype(np.int64)))
-            except ValueError:
+                stamps.append(_nanoseconds(line.strip()))
+            except (ValueError, OverflowError):
                 raise FormatError(path, f"line {number} is no date and time: {line.strip()[:40]!r}") from None
     return np.array(stamps, dtype=np.int64)
+
+
+def _nanoseconds(date: str) -> int:
+    """Return a date as nanoseconds since 1970; a year beyond what they count would come round without a word."""
+    seconds = int(np.datetime64(date[:19], "s").astype(np.int64))
+    if not 0 <= seconds * 1_000_000_000 <= MAX_NS:
+        raise ValueError(date)
+    return int(np.datetime64(date, "ns").astype(np.int64))
 
 
 def _read_calibration(path: Path) -> NDArray[np.float64]:
     """Read ``T_velo_imu`` from the lines ``R:`` (9 numbers) and ``T:`` (3)."""
     values: dict[str, list[str]] = {}
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
         key, _, rest = line.partition(":")
         values[key.strip()] = rest.split()
     T_velo_imu = np.eye(4)
@@ -232,6 +241,9 @@ def _read_calibration(path: Path) -> NDArray[np.float64]:
         T_velo_imu[:3, 3] = np.array(values["T"], dtype=np.float64)
     except (KeyError, ValueError):
         raise FormatError(path, "has no lines 'R:' with 9 numbers and 'T:' with 3") from None
+    R = T_velo_imu[:3, :3]
+    if not np.isfinite(T_velo_imu).all() or np.abs(R.T @ R - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0.0:
+        raise FormatError(path, "has an 'R:' that is no rotation, or numbers that are not finite")
     return T_velo_imu
 
 
@@ -245,8 +257,8 @@ class _OdometrySequence(_Folder):
             raise FormatError(folder, "holds no scans in velodyne/; check the extracted archive")
         path = folder / "times.txt"
         try:
-            self._times = [parse_seconds(word) for word in path.read_text(encoding="utf-8").split()]
-        except ValueError as error:
+            self._times = [parse_seconds(word) for word in path.read_text(encoding="utf-8", errors="replace").split()]
+        except (ValueError, OSError) as error:
             raise FormatError(path, f"does not hold one stamp in seconds a line: {error}") from None
         if max(self._scans) >= len(self._times):
             raise FormatError(path, f"has {len(self._times)} stamps, but there is a scan of number {max(self._scans)}")

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import FormatError
-from heliograph.io.files.records import columns_of, write_records
+from heliograph.io.files.records import columns_of, require_bytes, write_records
 
 __all__ = ["read_pcd", "write_pcd"]
 
 _MAX_HEADER_LINES = 200
 _MAX_POINTS = 1 << 31
+_MAX_LZF_RATIO = 128  # three bytes stand for 264 at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +27,11 @@ class _Header:
     fields: list[tuple[str, str, int]]  # name, NumPy type, count
     points: int
     encoding: str
+
+    @property
+    def size(self) -> int:
+        """Bytes of a point; NumPy's own count of them is of 32 bits."""
+        return sum(np.dtype(code).itemsize * count for _, code, count in self.fields)
 
     @property
     def dtype(self) -> np.dtype[np.void]:
@@ -69,6 +75,7 @@ def read_pcd(path: Path) -> dict[str, NDArray[np.generic]]:
             return _read_ascii(path, file, header)
         if header.encoding == "binary_compressed":
             return _read_compressed(path, file, header)
+        require_bytes(path, file, header.points, header.size)
         records = np.fromfile(file, dtype=header.dtype, count=header.points)
     if len(records) < header.points:
         raise FormatError(path, f"ends after {len(records)} of {header.points} points; the file is truncated")
@@ -130,10 +137,15 @@ def _read_compressed(path: Path, file: BinaryIO, header: _Header) -> dict[str, N
         raise FormatError(path, "ends inside its header; the file is truncated")
     packed, unpacked = struct.unpack("<II", sizes)
     data = file.read(packed)
-    expected = header.dtype.itemsize * header.points
+    expected = header.size * header.points
     if len(data) < packed or unpacked < expected:
         raise FormatError(path, f"holds {len(data)} of {packed} compressed bytes; the file is truncated")
-    raw = lzf.decompress(data, unpacked) if packed else b""
+    if unpacked > _MAX_LZF_RATIO * packed:
+        raise FormatError(path, f"promises {unpacked} bytes of {packed} compressed ones, more than LZF can hold")
+    try:
+        raw = lzf.decompress(data, unpacked) if packed else b""
+    except (ValueError, TypeError, RuntimeError, MemoryError) as error:
+        raise FormatError(path, f"does not unpack ({error}); the file is damaged") from error
     if raw is None or len(raw) < expected:
         raise FormatError(path, f"unpacks to {len(raw or b'')} bytes, expected {expected}; the file is damaged")
     columns, start = {}, 0

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import DataError, FormatError
-from heliograph.io.files.records import columns_of, write_records
+from heliograph.io.files.records import columns_of, require_bytes, write_records
 
 __all__ = ["read_ply", "write_ply"]
 
@@ -30,6 +30,7 @@ _SIZED = {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "
           "float64": "f8"}  # fmt: skip
 _ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 _MAX_HEADER_LINES = 1000
+_MAX_DIGITS = 18  # of a number of points
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +59,7 @@ def read_ply(path: Path) -> dict[str, NDArray[np.generic]]:
         order, dtype, count = _read_header(path, file)
         if order == "=":
             return _read_ascii(path, file, dtype, count)
+        require_bytes(path, file, count, dtype.itemsize)
         records = np.fromfile(file, dtype=dtype, count=count)
     if len(records) < count:
         raise FormatError(path, f"ends after {len(records)} of {count} points; the file is truncated")
@@ -71,7 +73,7 @@ def _read_header(path: Path, file: BinaryIO) -> tuple[str, np.dtype[np.void], in
         match words:
             case ["format", encoding, _] if encoding in _ORDERS:
                 order = _ORDERS[encoding]
-            case ["element", name, count] if count.isdecimal():
+            case ["element", name, count] if count.isdecimal() and len(count) <= _MAX_DIGITS:
                 elements.append(_Element(name, int(count), []))
             case ["property", *kinds, name] if elements and kinds:
                 elements[-1].properties.append((name, " ".join(kinds)))
@@ -134,5 +136,6 @@ def _read_ascii(path: Path, file: BinaryIO, dtype: np.dtype[np.void], count: int
     try:
         values = np.array(rows, dtype=np.float64).reshape(count, len(names))
     except ValueError as error:
-        raise FormatError(path, f"holds a point that is not numbers: {error}") from None
-    return {name: values[:, i].astype(dtype[name]) for i, name in enumerate(names)}
+        raise FormatError(path, f"holds a point that is not numbers: {str(error)[:80]}") from None
+    with np.errstate(invalid="ignore", over="ignore"):  # what a type cannot hold is as wrong as the file has it
+        return {name: values[:, i].astype(dtype[name]) for i, name in enumerate(names)}

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["columns_of", "write_records"]
+from heliograph.errors import FormatError
+
+__all__ = ["columns_of", "require_bytes", "write_records"]
 
 _BLOCK = 1 << 18
 
@@ -23,6 +27,21 @@ def write_records(file: BinaryIO, table: Mapping[str, NDArray[np.generic]]) -> N
         for name, column in table.items():
             used[name] = column[start : start + len(used)]
         file.write(used.data)
+
+
+def require_bytes(path: Path, file: BinaryIO, count: int, size: int) -> None:
+    """Refuse a header that promises more records than the rest of the file holds, before memory is taken for them.
+
+    Raises
+    ------
+    FormatError
+        It does; the message says how many there are.
+    """
+    left = os.fstat(file.fileno()).st_size - file.tell()
+    if count * size > left:
+        raise FormatError(
+            path, f"ends after {left // max(size, 1)} of {count} points; the file is truncated or damaged"
+        )
 
 
 def columns_of(records: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:

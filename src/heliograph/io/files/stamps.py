@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from decimal import Decimal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.io.files.tum import parse_seconds
+from heliograph.guard.limits import MAX_NS
+from heliograph.io.files.tum import parse_seconds, whole_ns
 
 __all__ = ["STAMP_FILES", "UNITS", "is_number", "parse_stamps", "stamp_unit"]
 
@@ -19,6 +19,7 @@ UNITS = {"s": 9, "ms": 6, "us": 3, "ns": 0}
 """Unit -> the power of ten that makes nanoseconds of it."""
 
 _EPOCH = {"ns": 1e17, "us": 1e14, "ms": 1e11, "s": 1e8}  # 1973 in each unit: larger values are times since 1970
+_MAX_DIGITS = 25
 _STEP_S = (2e-4, 0.5)  # samples between 2 Hz and 5 kHz
 
 
@@ -77,15 +78,22 @@ def parse_stamps(words: Sequence[str], unit: str | None = None) -> tuple[NDArray
     """
     unit = stamp_unit(words) if unit is None else unit
     if unit == "s":
-        return np.array([parse_seconds(word) for word in words], dtype=np.int64), unit
+        return np.array([_bounded(parse_seconds(word), word) for word in words], dtype=np.int64), unit
     scale = 10 ** UNITS[unit]
-    stamps = [int(word) * scale if word.isdecimal() else _scaled(word, scale) for word in words]
+    stamps = [_scaled(word, scale) for word in words]
     return np.array(stamps, dtype=np.int64), unit
 
 
 def _scaled(word: str, scale: int) -> int:
-    """Convert a signed number, a fraction or an exponent: rare in units below the second."""
+    """Convert a number; signs, fractions and exponents are rare in units below the second."""
     try:
-        return int((Decimal(word) * scale).to_integral_value())
+        ns = int(word) * scale if word.isdecimal() and len(word) <= _MAX_DIGITS else whole_ns(word, scale)
     except (ArithmeticError, ValueError) as error:
-        raise ValueError(f"not a number: {word!r}") from error
+        raise ValueError(f"not a stamp: {word[:60]!r}") from error
+    return _bounded(ns, word)
+
+
+def _bounded(ns: int, word: str) -> int:
+    if not -MAX_NS <= ns <= MAX_NS:
+        raise ValueError(f"a stamp that is no time: {word[:60]!r}")
+    return ns

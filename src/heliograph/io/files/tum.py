@@ -17,10 +17,11 @@ from heliograph.errors import FormatError
 from heliograph.io.files.rows import RowFile
 from heliograph.lie import so3
 
-__all__ = ["TumWriter", "parse_seconds", "read_kitti", "read_tum", "write_tum"]
+__all__ = ["TumWriter", "parse_seconds", "read_kitti", "read_tum", "whole_ns", "write_tum"]
 
 _NS = 1_000_000_000
 _MIN_NS, _MAX_NS = -(1 << 63), (1 << 63) - 1
+_MAX_STAMP = 60  # characters, or digits
 _PLAIN_SECONDS = re.compile(r"([+-]?)(\d+)\.(\d{1,9})")
 _ROW = "%s%d.%09d %.9f %.9f %.9f %.12f %.12f %.12f %.12f\n"
 _MAX_ROTATION_DEFECT = 1e-3
@@ -152,7 +153,7 @@ def read_tum(path: Path | str, frame: str = "map", body: str = "imu") -> Traject
             rows.append([float(word) for word in words[1:]])
         except ValueError:
             raise FormatError(
-                path, f"line {number} holds something that is not a number: {' '.join(words)!r}"
+                path, f"line {number} holds something that is not a number: {' '.join(words)[:60]!r}"
             ) from None
         lines.append(number)
     values = np.array(rows, dtype=np.float64).reshape(-1, 7)
@@ -199,7 +200,7 @@ def read_kitti(
             rows.append([float(word) for word in words])
         except ValueError:
             raise FormatError(
-                path, f"line {number} holds something that is not a number: {' '.join(words)!r}"
+                path, f"line {number} holds something that is not a number: {' '.join(words)[:60]!r}"
             ) from None
         lines.append(number)
     T_frame_body = np.tile(np.eye(4), (len(rows), 1, 1))
@@ -227,7 +228,9 @@ def _kitti_stamps(times: Path | str | NDArray[np.int64] | None, count: int) -> N
         try:
             stamps.append(parse_seconds(words[0]))
         except ValueError:
-            raise FormatError(times, f"line {number} does not begin with a stamp in seconds: {words[0]!r}") from None
+            raise FormatError(
+                times, f"line {number} does not begin with a stamp in seconds: {words[0][:60]!r}"
+            ) from None
     return np.array(stamps, dtype=np.int64)
 
 
@@ -244,18 +247,34 @@ def parse_seconds(text: str) -> int:
     ValueError
         ``text`` is not a finite decimal number.
     """
-    plain = _PLAIN_SECONDS.fullmatch(text)
+    plain = _PLAIN_SECONDS.fullmatch(text) if len(text) <= _MAX_STAMP else None
     if plain:
         ns = int(plain[2]) * _NS + int(plain[3].ljust(9, "0"))
         ns = -ns if plain[1] == "-" else ns
     else:
         try:  # slow and rare: exponents, no point, more than nine decimals
-            ns = int((Decimal(text) * _NS).to_integral_value())
+            ns = whole_ns(text, _NS)
         except (ArithmeticError, ValueError) as error:
-            raise ValueError(f"not a number of seconds: {text!r}") from error
+            raise ValueError(f"not a number of seconds: {text[:60]!r}") from error
     if not _MIN_NS <= ns <= _MAX_NS:
-        raise ValueError(f"too many seconds for 64-bit nanoseconds: {text!r}")
+        raise ValueError(f"too many seconds for 64-bit nanoseconds: {text[:60]!r}")
     return ns
+
+
+def whole_ns(text: str, scale: int) -> int:
+    """Return a decimal number times ``scale`` as a whole number.
+
+    Raises
+    ------
+    ValueError, ArithmeticError
+        It is no finite number, or its exponent alone is beyond 64 bits: to write it out would take for ever.
+    """
+    if len(text) > _MAX_STAMP:
+        raise ValueError(f"a number of {len(text)} characters")
+    number = Decimal(text)
+    if not number.is_finite() or number.adjusted() > _MAX_STAMP:
+        raise ValueError(f"not a time: {text!r}")
+    return int((number * scale).to_integral_value())
 
 
 def _rows_of(path: Path | str) -> Iterator[tuple[int, list[str]]]:

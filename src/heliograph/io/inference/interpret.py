@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from heliograph.config import InputConfig
-from heliograph.data import Event
+from heliograph.data import Event, ImuClock
 from heliograph.errors import DataError, TopicError, closest
+from heliograph.io.inference.imu_stamps import uneven_period
 from heliograph.io.inference.imu_units import ImuUnits, infer_imu_units
+from heliograph.io.inference.mixed import clock_apart, delivery_delay, of_one_frame
 from heliograph.io.inference.mounting import FrameTree, Mounting, find_mounting
 from heliograph.io.inference.record import Inference, make_inference
 from heliograph.io.inference.scans import PointTiming
+from heliograph.io.inference.sweeps import parts_of_a_sweep
 from heliograph.io.inference.timing import infer_timing
-from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, RawTransform, TopicInfo
+from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, RawTransform, TopicInfo, until_damage
 
 __all__ = ["Interpretation", "interpret"]
 
 PROBE_CLOUDS, PROBE_SAMPLES, MIN_SAMPLES = 12, 400, 20
 FULL_PROBE_NS = 3_000_000_000
 DEFAULT_IMU_PERIOD_NS = 5_000_000
-MAX_CLOCK_DISTANCE_NS = 1_000_000_000
 Note = Inference | Event
 
 
@@ -58,6 +60,14 @@ class Interpretation:
         Fields of the cloud.
     inferences, events : tuple
         Conclusions and warnings.
+    one_frame : frozenset of str
+        The ones of ``"lidar"`` and ``"imu"`` whose topic mixes several sensors: messages of other frames are left out.
+    parts : int
+        Messages that make one sweep.
+    bunched : bool
+        Whether the samples' stamps tell when they were handled; see `imu_stamps`.
+    imu_delay_ns : int
+        How much later than the quickest samples are delivered [ns].
     """
 
     lidar: str | None
@@ -78,6 +88,10 @@ class Interpretation:
     fields: tuple[str, ...]
     inferences: tuple[Inference, ...]
     events: tuple[Event, ...]
+    one_frame: frozenset[str] = frozenset()
+    parts: int = 1
+    bunched: bool = False
+    imu_delay_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -136,13 +150,27 @@ def interpret(source: RawSource, config: InputConfig, sensors: str = "auto") -> 
     gnss = max(probe.fixes, key=lambda name: len(probe.fixes[name]), default=None)
     clouds, samples = probe.clouds.get(lidar or "", []), probe.samples.get(imu or "", [])
     _require_messages(source, lidar, imu, clouds, samples, sensors)
+    frames = FrameTree(probe.transforms)
+    lidar_frame = clouds[0].frame_id if clouds else ""
+    samples, mixed_imu = of_one_frame(samples, "IMU", frames, lidar_frame) if config.repair else (samples, [])
+    imu_frame = samples[0].frame_id if samples else ""
+    clouds, mixed_lidar = of_one_frame(clouds, "LiDAR", frames, imu_frame) if config.repair else (clouds, [])
     timing, lidar_notes = _read_lidar(clouds, config)
     units, imu_period_ns, imu_stamp, imu_notes = _read_imu(samples, config)
-    notes = [*lidar_why, *imu_why, *lidar_notes, *imu_notes]
-    if timing.stamp == imu_stamp == "header":
-        notes += _clock_mismatch(clouds, samples)
-    frames = FrameTree(probe.transforms)
+    notes = [*lidar_why, *imu_why, *lidar_notes, *imu_notes, *mixed_imu, *mixed_lidar]
     mounting = find_mounting(clouds, samples, frames, source.factory_T_imu_lidar(), config.extrinsic)
+    if timing.stamp == imu_stamp == "header" and mounting.rig.clock.exact:
+        apart = clock_apart(clouds, samples, timing)
+        notes += _clock_mismatch(apart, mended=config.repair)
+        if apart is not None and config.repair:
+            mounting = replace(mounting, rig=replace(mounting.rig, clock=apart))
+    bunched = uneven_period(samples) if config.repair and imu_stamp == "header" else None
+    if bunched is not None:
+        notes.append(_bunched(samples, bunched))
+        imu_period_ns = bunched
+    parts = parts_of_a_sweep(clouds, timing.period_ns) if config.repair and clouds else 1
+    if parts > 1:
+        notes.append(_in_parts(clouds[0].topic, parts, timing.period_ns))
     return Interpretation(
         lidar=lidar if clouds else None,
         imu=imu if samples else None,
@@ -162,7 +190,28 @@ def interpret(source: RawSource, config: InputConfig, sensors: str = "auto") -> 
         fields=tuple(clouds[0].columns) if clouds else (),
         inferences=(*(note for note in notes if isinstance(note, Inference)), *mounting.inferences),
         events=(*(note for note in notes if isinstance(note, Event)), *mounting.events),
+        one_frame=frozenset((*(["imu"] if mixed_imu else []), *(["lidar"] if mixed_lidar else []))),
+        parts=parts,
+        bunched=bunched is not None,
+        imu_delay_ns=delivery_delay(samples) if config.repair else 0,
     )
+
+
+def _bunched(samples: Sequence[RawImu], period_ns: int) -> Event:
+    message = (
+        f"{samples[0].topic}: stamps come in bunches although an IMU measures evenly: they tell when messages were "
+        f"handled; the samples are spaced evenly again, {period_ns / 1e6:.2f} ms apart, behind the least delayed - "
+        "stamp with the sensor's own counter"
+    )
+    return Event(code="imu-bunched", message=message)
+
+
+def _in_parts(topic: str, parts: int, period_ns: int) -> Event:
+    message = (
+        f"{topic}: each message is a part of a sweep ({period_ns / 1e6:.1f} ms, other directions each time); {parts} "
+        "at a time are joined, with the stamp of the first"
+    )
+    return Event(code="sweep-parts", message=message, severity="info")
 
 
 def _candidates(topics: Sequence[TopicInfo], kind: str, wanted: str, used: bool) -> list[TopicInfo]:
@@ -198,7 +247,10 @@ def _require_messages(
     source: RawSource, lidar: str | None, imu: str | None, clouds: list[RawCloud], samples: list[RawImu], sensors: str
 ) -> None:
     if lidar and not clouds:
-        why = next((event.message for event in source.events if event.code == "bad-message"), "the topic is empty")
+        why = next(
+            (event.message for event in source.events if event.code in ("bad-message", "truncated")),
+            "the topic is empty",
+        )
         raise DataError(f"{source.description}: {lidar} holds no usable scan ({why})")
     if imu and not samples and sensors != "auto" and "imu" in sensors:
         raise DataError(f"{source.description}: {imu} holds no usable sample")
@@ -208,10 +260,10 @@ def _probe(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo], ma
     """Read the first messages; static transforms are read wherever they are, a recorder may be started late."""
     probe = _Probe()
     static = frozenset(t.name for t in source.topics if t.kind == "tf" and "static" in t.name)
-    for message in source.messages(static) if static else ():
+    for message in until_damage(source, source.messages(static)) if static else ():
         probe.add(message)
     names = {t.name for t in [*lidars, *imus]} | {t.name for t in source.topics if t.kind in ("tf", "gnss")} - static
-    for message in source.messages(frozenset(names)):
+    for message in until_damage(source, source.messages(frozenset(names))):
         probe.add(message)
         if _is_complete(probe, lidars, imus, message.received_ns, max_probe):
             break
@@ -279,7 +331,18 @@ def _read_lidar(clouds: Sequence[RawCloud], config: InputConfig) -> tuple[PointT
     if not clouds:
         return PointTiming(), []
     result = infer_timing(clouds, config)
-    return result.timing, [*result.inferences, *result.events]
+    return result.timing, [*result.inferences, *result.events, *_byte_order(clouds)]
+
+
+def _byte_order(clouds: Sequence[RawCloud]) -> list[Note]:
+    count = sum(cloud.swapped for cloud in clouds)
+    if not count:
+        return []
+    message = (
+        f"{clouds[0].topic}: is_bigendian says the wrong byte order in {count} of the first {len(clouds)} scans, whose "
+        "coordinates are lengths only in the other; that one is used; mend the driver or the exporter that sets it"
+    )
+    return [Event(code="byte-order", message=message)]
 
 
 def _read_imu(samples: Sequence[RawImu], config: InputConfig) -> tuple[ImuUnits | None, int, str, list[Note]]:
@@ -319,16 +382,14 @@ def _imu_period(samples: Sequence[RawImu]) -> tuple[int, str, list[Note]]:
     return period, stamp, [*notes, make_inference("imu rate", f"{1e9 / period:.4g} Hz", evidence)]
 
 
-def _clock_mismatch(clouds: Sequence[RawCloud], samples: Sequence[RawImu]) -> list[Note]:
+def _clock_mismatch(apart: ImuClock | None, *, mended: bool) -> list[Note]:
     """Warn where LiDAR and IMU stamp in clocks that differ: what arrives together is stamped apart."""
-    if not clouds or not samples:
+    if apart is None:
         return []
-    lidar, imu = (float(np.median([m.received_ns - m.stamp_ns for m in messages])) for messages in (clouds, samples))
-    if abs(lidar - imu) < MAX_CLOCK_DISTANCE_NS:
-        return []
+    then = "the IMU's samples are brought to the LiDAR's clock by the times of reception, and then by the turns; "
     message = (
-        f"LiDAR stamps are {(imu - lidar) / 1e9:+.3f} s off IMU stamps of messages that arrive together: the "
-        "sensors' clocks "
-        "differ; synchronise them (PTP, or the driver's option to stamp with the computer's time) and record again"
+        f"LiDAR stamps are {-apart.offset:+.3f} s off IMU stamps of messages that arrive together: the sensors' clocks "
+        f"differ; {then if mended else ''}synchronise them (PTP, or the driver's option to stamp with the computer's "
+        "time) for the next recording"
     )
     return [Event(code="clock-mismatch", message=message)]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from heliograph import _core
 from heliograph.data import Scan
 from heliograph.errors import DataError
+from heliograph.guard.limits import MAX_NS
 from heliograph.io.inference.layouts import INTENSITY_FIELDS, RING_FIELDS
 from heliograph.io.raw import RawCloud
 
@@ -179,6 +180,8 @@ def _field_times(
     """
     if not np.isfinite(first):
         return header_ns - timing.shift_ns, np.zeros(len(times), np.int32), None
+    if abs(first) * timing.ns_per_unit > MAX_NS or abs(origin) * timing.ns_per_unit > MAX_NS:
+        raise DataError(f"field '{timing.field}' holds {first + origin:.3g}, which is no time")
     first_ns = _exact_ns(first, timing.ns_per_unit) + origin * int(timing.ns_per_unit)
     if timing.reference == "header" and first_ns >= 0 and timing.shift_ns == 0:
         # Times from the header stamp on: the sweep starts at the stamp even where its first points are missing.

@@ -22,6 +22,7 @@ __all__ = ["TimingResult", "infer_timing"]
 
 DEFAULT_PERIOD_NS = 100_000_000
 MIN_POINTS = 100
+MAX_RUNAWAY_NS = 100_000_000_000  # beyond it a time is no offset that runs on, but a clock's
 MAX_STAMP_DISTANCE_NS = (
     10_000_000_000  # an absolute time further than this from the header stamp counts in another clock
 )
@@ -73,7 +74,7 @@ def infer_timing(clouds: Sequence[RawCloud], config: InputConfig) -> TimingResul
     base = PointTiming(period_ns=period_ns, stamp=stamp)
     spans = _measure(clouds, field, stamp) if field else None
     if spans is None or field is None or not np.any(spans.last > spans.first):
-        result = _without_field(clouds, base, field)
+        result = _without_field(clouds, base, field, config)
     else:
         result = _with_field(clouds, base, field, spans, config)
     stamped = make_inference("scan stamp", stamp, "header stamps advance" if stamp == "header" else events[0].message)
@@ -206,6 +207,8 @@ def _reference(
     scale = timing.ns_per_unit
     low, high = float(np.median(spans.first)) * scale, float(np.median(spans.last)) * scale
     span = high - low
+    if not override and _runs_on(spans, scale, timing.period_ns):
+        return _runaway(timing, spans)
     if override == "absolute" or (not override and abs(low) > 20 * max(timing.period_ns, span)):
         return _absolute(timing, spans, override)
     shift = {"start": min(low, 0.0), "middle": (low + high) / 2, "end": high}.get(override, 0.0)
@@ -235,6 +238,26 @@ def _reference(
         ],
         events,
     )
+
+
+def _runs_on(spans: _Spans, scale: float, period_ns: int) -> bool:
+    """Whether times that should begin anew with each scan run on from scan to scan, in no clock of the stamps'."""
+    first, span = spans.first * scale, float(np.median(spans.last - spans.first)) * scale
+    steps, stamped = np.diff(first), np.diff(spans.stamps_ns)
+    if len(steps) < 3 or abs(float(np.median(first))) > MAX_RUNAWAY_NS or span > 1.5 * period_ns:
+        return False
+    return bool(np.ptp(first) > 2.0 * span and np.median(np.abs(steps - stamped)) < 0.2 * period_ns)
+
+
+def _runaway(timing: PointTiming, spans: _Spans) -> tuple[PointTiming, list[Inference], list[Event]]:
+    reach = float(np.ptp(spans.first)) * timing.ns_per_unit * 1e-9
+    evidence = f"the first time of a scan grows by {reach:.2f} s over {len(spans.first)} scans"
+    message = (
+        f"the per-point times run on from scan to scan instead of beginning anew ({evidence}): within a scan they are "
+        "used, each sweep is taken to start at its header stamp; update the driver"
+    )
+    found = [make_inference("point time reference", "runs on, sweep starts at the header stamp", evidence)]
+    return replace(timing, reference="other-clock"), found, [Event(code="point-time-runaway", message=message)]
 
 
 def _absolute(timing: PointTiming, spans: _Spans, override: str) -> tuple[PointTiming, list[Inference], list[Event]]:
@@ -294,14 +317,17 @@ def _check_latency(timing: PointTiming, clouds: Sequence[RawCloud], meaning: str
     return [Event(code="scan-stamp", message=message)]
 
 
-def _without_field(clouds: Sequence[RawCloud], base: PointTiming, field: str | None) -> TimingResult:
+def _without_field(
+    clouds: Sequence[RawCloud], base: PointTiming, field: str | None, config: InputConfig
+) -> TimingResult:
     """Time the points from the sweep's geometry where that is clear, else not at all."""
     if clouds[0].layout in DESKEWED_LAYOUTS:
         evidence = "the scans are already free of motion distortion"
         return TimingResult(replace(base, method="none"), (make_inference("point time field", "none", evidence),), ())
     cause = f"field '{field}' is constant" if field else f"none of the fields {list(clouds[0].columns)} is a time"
     method, direction, evidence = _sweep_geometry(clouds)
-    timing = replace(base, method=method, direction=direction)
+    at_end = _stamped_at_end(clouds, base) if config.repair and method != "none" else None
+    timing = replace(base, method=method, direction=direction, shift_ns=0 if at_end is None else base.period_ns)
     if method == "azimuth":
         timing = replace(timing, azimuth=_first_azimuth(clouds, direction))
     value = {"columns": "none: inferred from the column", "azimuth": "none: inferred from the azimuth", "none": "none"}[
@@ -310,13 +336,36 @@ def _without_field(clouds: Sequence[RawCloud], base: PointTiming, field: str | N
     if method == "none":
         consequence = "all points count as measured at the header stamp, fast motion smears"
     else:
-        consequence = f"inferred from the sweep's geometry ({evidence}), the header stamp taken as its start"
+        side = "end" if at_end else "start"
+        consequence = f"inferred from the sweep's geometry ({evidence}), the header stamp taken as its {side}"
     message = f"no per-point time ({cause}): {consequence}; record with a driver that writes it"
     inferences = (
         make_inference("point time field", value, f"{cause}; {evidence}"),
-        make_inference("scan stamp", "the sweep's start", "nothing in the data tells", source="default"),
+        make_inference("scan stamp", "the sweep's end", at_end)
+        if at_end
+        else make_inference("scan stamp", "the sweep's start", "nothing in the data tells", source="default"),
     )
-    return TimingResult(timing, inferences, (Event(code="no-point-time", message=message),))
+    events = [Event(code="no-point-time", message=message)]
+    if at_end:
+        text = f"the header stamps mean the sweep's end: {at_end}; each sweep is taken to end there"
+        events.append(Event(code="scan-stamp", message=text))
+    return TimingResult(timing, inferences, tuple(events))
+
+
+def _stamped_at_end(clouds: Sequence[RawCloud], timing: PointTiming) -> str | None:
+    """Return the evidence that the header stamps mean the sweep's end; None where nothing tells.
+
+    A whole sweep cannot be received before it was measured. Equal times are a converter's and tell nothing.
+    """
+    if timing.stamp != "header":
+        return None
+    latency = np.array([c.received_ns - c.stamp_ns for c in clouds], dtype=np.float64)
+    if len(latency) < 3 or not np.all((latency > 50_000) & (latency < 0.5 * timing.period_ns)):
+        return None
+    return (
+        f"scans were received {np.median(latency) / 1e6:.1f} ms after their stamp although a sweep lasts "
+        f"{timing.period_ns / 1e6:.1f} ms"
+    )
 
 
 def _sweep_geometry(clouds: Sequence[RawCloud]) -> tuple[str, int, str]:

@@ -35,7 +35,7 @@ def is_ouster_metadata(path: Path) -> bool:
     """Tell whether a JSON file looks like the metadata of an Ouster sensor."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return False
     return isinstance(content, dict) and bool({"beam_altitude_angles", "beam_intrinsics"} & set(content))
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
+from heliograph.guard.boundary import outside
 from heliograph.io.packets.ouster import OusterDecoder, is_ouster_metadata, ouster_core
 from heliograph.io.packets.pcapfile import datagram_sizes, is_cut, is_pcap
 from heliograph.io.packets.velodyne import PACKET_SIZE, VelodyneDecoder, velodyne_decoder
@@ -198,7 +199,8 @@ class _OusterPcap(_Pcap):
 class _VelodynePcap(_Pcap):
     def __init__(self, captures: Sequence[Path], sizes: Counter[int]) -> None:
         super().__init__(captures)
-        first = next((data for _, data in self._datagrams(captures[0])), b"\0")
+        with outside(captures[0]):
+            first = next((data for _, data in self._datagrams(captures[0])), b"\0")
         model, packets = _VELODYNE_MODELS.get(first[-1], ("HDL-64E or unknown model", 348))
         self.description = f"Velodyne capture, {model}"
         scans = -(-sizes[PACKET_SIZE] // packets)
@@ -214,6 +216,11 @@ class _VelodynePcap(_Pcap):
             errors = (RuntimeError, ValueError, velodyne_decoder().util.dpkt.dpkt.Error)
             yield from self._guard_damage(capture, self._capture_messages(capture, decoder), errors)
         yield from decoder.finish()
+        if decoder.bad_packets:
+            message = f"{decoder.bad_packets} packets {decoder.why_bad}; they are left out"
+            event = Event(code="bad-message", message=message, count=decoder.bad_packets)
+            if event not in self.events:
+                self.events.append(event)
 
     def _capture_messages(self, capture: Path, decoder: VelodyneDecoder) -> Iterator[RawMessage]:
         for received_ns, data in self._datagrams(capture):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import FormatError, MissingDependencyError
+from heliograph.guard.boundary import reason
 from heliograph.io.raw import RawCloud, RawMessage
 
 __all__ = ["PACKET_SIZE", "VelodyneDecoder", "velodyne_decoder"]
@@ -60,9 +61,14 @@ class VelodyneDecoder:
                 config.model, config.calibration = module.hdl64e.detect_hdl64e(calibration_from)
             except ValueError as error:
                 raise FormatError(calibration_from, f"is of an HDL-64E of unknown calibration: {error}") from error
+            except (
+                Exception
+            ) as error:  # dpkt's own, where the capture is damaged; the packets themselves tell the model
+                self.why_bad = reason("holds no calibration", error)
         self._stream = module.StreamDecoder(config)
         self._topic, self._frame_id, self._device_clock = topic, frame_id, device_clock
         self._received_ns = 0
+        self.bad_packets, self.why_bad = 0, ""
 
     def feed(self, data: memoryview | bytes, received_ns: int, stamp_ns: int | None = None) -> list[RawMessage]:
         """Take one datagram and return the sweep that it completes; one that holds no points gives nothing.
@@ -80,7 +86,17 @@ class VelodyneDecoder:
             return []
         self._received_ns = received_ns
         stamp = (received_ns if stamp_ns is None else stamp_ns) / _NS
-        return self._clouds(self._stream.decode(stamp, bytes(data), True))
+        try:
+            return self._clouds(self._stream.decode(stamp, bytes(data), True))
+        except (
+            RuntimeError,
+            ValueError,
+            TypeError,
+            IndexError,
+        ) as error:  # one bad packet is no reason to lose the others
+            self.bad_packets += 1
+            self.why_bad = reason("cannot be decoded", error)
+            return []
 
     def finish(self) -> list[RawMessage]:
         """Return the sweep collected so far."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -15,11 +16,12 @@ from heliograph.data import ImuBatch, NavState, OnlineCalibration, Scan, ScanRes
 from heliograph.data.error_layout import POSE
 from heliograph.imu import ImuPath
 from heliograph.maps import LocalMap, VoxelMap
-from heliograph.odometry.filter.calibrating import calibration_of
+from heliograph.odometry.filter.calibrating import CalibrationTerms, calibration_of
 from heliograph.odometry.filter.map_keeper import MapKeeper
 from heliograph.odometry.filter.matching import AdaptiveNoise, ScanMatcher, sweep_noise
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.motion import MotionModel, corrected_path, rate_change, sweep_path
+from heliograph.odometry.filter.relocking import Relocker
 from heliograph.odometry.filter.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.filter.update import FilterUpdate
 
@@ -68,6 +70,7 @@ class FilterCore:
         self._history: ImuPath | None = None
         self._sweep_noise: Array | None = None
         self._count = 0
+        self._relocker = Relocker()
 
     @property
     def noise(self) -> AdaptiveNoise:
@@ -91,6 +94,8 @@ class FilterCore:
         watch.lap("thin")
 
         fit = self._match(prior, path, scan, points[picked], offsets[picked])  # (3) to (7)
+        if self._relocker.told(prior, fit):
+            self._keeper.begin_anew(prior)
         posterior = self._settled(fit.state) if fit is not None else _anchored(prior) if self._keeper.empty else prior
         sweep, path = sweep_path(path, prior, posterior), corrected_path(path, posterior)  # (8)
         watch.lap("match")
@@ -146,7 +151,7 @@ class FilterCore:
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
         fit = self._matcher.match(prior, self.map, points_at, before_end, terms, self._sweep_noise)
-        if fit is None:
+        if fit is None and (fit := self._place_again(prior, predicted, points_at, before_end, terms)) is None:
             return None
         self._calibration.learn(fit.measurement)
         self._keeper.updated(fit.retained)
@@ -154,6 +159,22 @@ class FilterCore:
         sweep = float(before_end.max(initial=0.0))
         state = self._motion.settled(prior, fit.state, converged=fit.converged, seconds=seconds, sweep=sweep)
         return replace(fit, state=state)
+
+    def _place_again(
+        self,
+        prior: NavState,
+        predicted: NDArray[np.float32],
+        points_at: Callable[[NavState], NDArray[np.float32]],
+        before_end: NDArray[np.float32],
+        terms: CalibrationTerms,
+    ) -> FilterUpdate[ScanMeasurement] | None:
+        """Look for the scan widely where the prediction has become vague, every few scans; else return None."""
+
+        def attempt(state: NavState) -> FilterUpdate[ScanMeasurement]:
+            return self._matcher.registered(state, self.map, points_at, before_end, terms, self._sweep_noise)
+
+        covariance = terms.map_pose_covariance(prior)
+        return self._relocker.sought(prior, covariance, self.map, predicted, attempt, self._matcher.usual_share)
 
     def _before_end(self, scan: Scan, offsets: NDArray[np.int32]) -> NDArray[np.float32]:
         """Return how long before the sweep's end each point was carried over by velocity and rate, (N,) [s]."""
@@ -197,7 +218,7 @@ class FilterCore:
         if outcome.fit is not None:
             self._matcher.noise = self.noise.updated(outcome.fit.measurement.sums.rms, self._config.filter)
         self.state, self._history, self._count = outcome.state, outcome.path, self._count + 1
-        return replace(result, calibration=self.calibration)
+        return replace(result, calibration=self.calibration, events=(*result.events, *self._relocker.taken_events()))
 
 
 def _same_sweep(prior: NavState, state: NavState, path: ImuPath) -> bool:

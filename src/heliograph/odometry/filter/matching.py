@@ -212,6 +212,11 @@ class ScanMatcher:
         self._usual_share = 0.0
         self._innovations = InnovationTest()
 
+    @property
+    def usual_share(self) -> float:
+        """Share of the points that usually match."""
+        return self._usual_share
+
     def match(
         self,
         prior: NavState,
@@ -225,7 +230,22 @@ class ScanMatcher:
 
         Where an IMU predicts, and ``sweep_noise`` is given, a correction that it does not allow weighs less.
         """
-        fit = register(
+        fit = self.registered(prior, local_map, points_at, before_end, terms, sweep_noise)
+        if not self._trusted(prior, fit.measurement.sums, terms):
+            return None
+        return fit if sweep_noise is None else self._believed(fit, prior, terms)
+
+    def registered(
+        self,
+        prior: NavState,
+        local_map: LocalMap,
+        points_at: Callable[[NavState], NDArray[np.float32]],
+        before_end: NDArray[np.float32],
+        terms: CalibrationTerms,
+        sweep_noise: Array | None = None,
+    ) -> FilterUpdate[ScanMeasurement]:
+        """Return what `register` makes of a scan, trusted or not."""
+        return register(
             prior,
             local_map,
             points_at,
@@ -236,9 +256,6 @@ class ScanMatcher:
             terms=terms,
             sweep_noise=sweep_noise,
         )
-        if not self._trusted(prior, fit.measurement.sums, terms):
-            return None
-        return fit if sweep_noise is None else self._believed(fit, prior, terms)
 
     def _believed(
         self, fit: FilterUpdate[ScanMeasurement], prior: NavState, terms: CalibrationTerms

@@ -267,7 +267,7 @@ def find_motion(
     # Sparse scans cost little as they are, and need what they have.
     dense = max((len(scan) for scan in scans), default=0) >= 2 * _LED[0]
     scans, light = (_thinned(scans, _LED[0]), _light(config, *_LED[1:])) if dense else (scans, config)
-    if len(scans) < _MIN_POSES:
+    if len(scans) < _MIN_POSES or not _of_one_time(scans, imu):
         return None
     noise = noise_in_motion(imu, config.imu)
 
@@ -296,6 +296,12 @@ def find_motion(
             break
         followed = led(*_led_by_imu(scans[0], found, imu, rig)).follow(scans).poses()
     return (found, align(followed, _SCALE_SIGMA)) if found is not None and followed is not None else None
+
+
+def _of_one_time(scans: Sequence[Scan], imu: ImuBatch) -> bool:
+    """Tell whether there are samples of the scans' time; where the clocks differ there may be none."""
+    meanwhile = (imu.stamps_ns >= scans[0].stamp_ns) & (imu.stamps_ns <= scans[-1].end_ns)
+    return int(np.count_nonzero(meanwhile)) >= len(scans)
 
 
 def _same_velocity(before: MotionStart, after: MotionStart) -> bool:

@@ -1,1 +1,1 @@
-"""LOAM: edges and planes of scan lines, registered to a map of them; led by the IMU, or by the scan before."""
+"""LOAM: edges and planes of scan lines, registered to a map of them and led by the IMU."""

@@ -23,7 +23,7 @@ from heliograph.odometry.filter.map_keeper import MapKeeper
 from heliograph.odometry.filter.motion import MotionModel, corrected_path, sweep_path
 from heliograph.odometry.filter.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.loam.matching import FeatureMatcher, PoseFit, anchored
-from heliograph.odometry.loam.sweep import FeatureSweep, ScanToScan, ended
+from heliograph.odometry.loam.sweep import FeatureSweep
 
 __all__ = ["LoamCore"]
 
@@ -36,7 +36,7 @@ class LoamCore:
     start : NavState
         At or before the first scan's first point; its frame is made the odom frame.
     motion : MotionModel
-        What carries the state from scan to scan: the IMU, or a constant velocity that the scan before corrects.
+        What carries the state from scan to scan: the IMU.
     config : RunConfig
     events : list of Event
         Told of how the scan lines are found, and what of a cloud is not used.
@@ -52,7 +52,6 @@ class LoamCore:
         self._motion, self._config, self._events, self._threads = motion, config, events, threads
         self._keeper = MapKeeper(self.map, config.filter, config.map, start.p_odom)
         self._matcher = FeatureMatcher(config, threads=threads)
-        self._before = None if motion.inertial else ScanToScan(config, threads=threads)
         self._rule: LineRule | None = None
         self._history: ImuPath | None = None
         self._count = 0
@@ -60,7 +59,7 @@ class LoamCore:
     def process(self, scan: Scan, imu: ImuBatch) -> ScanResult:
         """Process one scan; the numbers are those of docs/theory/loam.md."""
         watch = Stopwatch()
-        prior, path = self._predict(imu, scan.end_ns)  # (1) the IMU, or a constant velocity
+        prior, path = self._predict(imu, scan.end_ns)  # (1) the IMU
         watch.lap("predict")
 
         gated = self._gated(scan)
@@ -68,17 +67,16 @@ class LoamCore:
         watch.lap("features")
 
         sweep = FeatureSweep(gated, features, self.state.T_imu_lidar, self._config, self._threads)
-        led = self._before.led(path, sweep) if self._before is not None else path  # (5) scan to scan
-        fit = self._matcher.match(prior, led, sweep, self.map, self._motion)  # (6) to (9) scan to map, (10) fusion
+        fit = self._matcher.match(prior, path, sweep, self.map)  # (5) to (8) scan to map, (9) fusion
         posterior = fit.state if fit is not None else anchored(prior) if self._keeper.empty else prior
-        final = sweep_path(path, prior, posterior) if self._before is None else ended(led, posterior.T_odom_imu)
+        final = sweep_path(path, prior, posterior)
         path = corrected_path(path, posterior)
         watch.lap("match")
 
         points_imu = self._deskew(gated, final)
         watch.lap("deskew")
 
-        posterior = self._extend(sweep.map_points(final), posterior, fit)  # (11)
+        posterior = self._extend(sweep.map_points(final), posterior, fit)  # (10)
         watch.lap("map")
         return self._conclude(scan, gated, posterior, path, points_imu, fit, len(features), watch)
 
@@ -130,8 +128,6 @@ class LoamCore:
 
     def _extend(self, points: FeaturePoints, posterior: NavState, fit: PoseFit | None) -> NavState:
         """Return the state in the frame of the map with the scan's features in it, where the scan has a place there."""
-        if self._before is not None:
-            self._before.remember(points)
         if fit is not None:
             self._keeper.updated(fit.update.retained)
             return self._keeper.extend(points, posterior.T_odom_imu, posterior, fit.seen)

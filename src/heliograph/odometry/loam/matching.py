@@ -14,7 +14,7 @@ from heliograph.imu import ImuPath
 from heliograph.lie import so3
 from heliograph.maps import FeatureMap
 from heliograph.odometry.filter.measurement import ScanMeasurement
-from heliograph.odometry.filter.motion import MotionModel, sweep_path
+from heliograph.odometry.filter.motion import sweep_path
 from heliograph.odometry.filter.update import FilterUpdate, iterated_update
 from heliograph.odometry.loam.sweep import FeatureSweep
 from heliograph.registration import FeatureNoise, FeatureRegistration, TrueShare, register_features
@@ -58,70 +58,46 @@ class FeatureMatcher:
         self._config, self._threads = config, threads
         self._usual_share = 0.0
 
-    def match(
-        self, prior: NavState, led: ImuPath, sweep: FeatureSweep, local_map: FeatureMap, motion: MotionModel
-    ) -> PoseFit | None:
+    def match(self, prior: NavState, path: ImuPath, sweep: FeatureSweep, local_map: FeatureMap) -> PoseFit | None:
         """Return the fit of a sweep to the map, None where too few features match to trust it.
 
         Parameters
         ----------
         prior : NavState
             As predicted to the sweep's end.
-        led : ImuPath
-            The motion to de-skew with, which ends where the registration begins.
+        path : ImuPath
+            As predicted, the motion to de-skew with.
         sweep : FeatureSweep
         local_map : FeatureMap
-        motion : MotionModel
         """
         if len(local_map) == 0 or sweep.count < self._config.filter.min_matches:
             return None
-        fit = self._led(prior, _at_end(prior, led), sweep, led, local_map, motion)
+        fit = self._fitted(prior, path, sweep, local_map)
         if fit is not None:
             self._learn(fit.registration)
         return fit
 
-    def _led(
-        self,
-        prior: NavState,
-        start: NavState,
-        sweep: FeatureSweep,
-        led: ImuPath,
-        local_map: FeatureMap,
-        motion: MotionModel,
+    def _fitted(
+        self, prior: NavState, predicted: ImuPath, sweep: FeatureSweep, local_map: FeatureMap
     ) -> PoseFit | None:
-        """Register points that are de-skewed already, and again where an IMU's state found bends the sweep.
-
-        Without an IMU the scan before has de-skewed them. A second time, with the motion between two poses on the map,
-        would let an error of one scan come back in the next with the opposite sign.
-        """
-        fit, path = None, led
-        for _ in range(self._config.loam.passes if motion.inertial else 1):
+        """Register points that are de-skewed along the prediction, and again where the state found bends the sweep."""
+        fit, start, path = None, prior, predicted
+        for _ in range(self._config.loam.passes):
             found = self._register(prior, start, sweep, path, local_map)
-            better = self._fit(prior, start, found, sweep, led, motion)
+            better = self._fit(prior, start, found)
             if better is None:
                 break
             fit, start = better, better.state
-            before, path = path, sweep_path(led, prior, start)
+            before, path = path, sweep_path(predicted, prior, start)
             if _moved(before, path, self._config.filter.typical_range) < _SAME:
                 break
         return fit
 
-    def _fit(
-        self,
-        prior: NavState,
-        start: NavState,
-        found: FeatureRegistration,
-        sweep: FeatureSweep,
-        led: ImuPath,
-        motion: MotionModel,
-    ) -> PoseFit | None:
+    def _fit(self, prior: NavState, start: NavState, found: FeatureRegistration) -> PoseFit | None:
         """Return what a registration makes of the state, None where it is not to be trusted."""
         if not self._trusted(prior, start, found):
             return None
-        update = fused(prior, found, self._config)
-        seconds = float(led.stamps_ns[-1] - led.stamps_ns[0]) * 1e-9
-        state = motion.settled(prior, update.state, converged=found.converged, seconds=seconds, sweep=sweep.seconds)
-        return PoseFit(registration=found, update=replace(update, state=state), seen=found.seen)
+        return PoseFit(registration=found, update=fused(prior, found, self._config), seen=found.seen)
 
     def _opening(self, prior: NavState) -> float:
         return min(_OPENING_SIGMAS * self._unknown(prior), self._config.filter.max_kernel)
@@ -166,7 +142,7 @@ class FeatureMatcher:
 def fused(prior: NavState, found: FeatureRegistration, config: RunConfig) -> FilterUpdate[ScanMeasurement]:
     """Tell the predicted state the pose that was found, with the information that its matches gave.
 
-    Velocity, biases and gravity follow by what the prediction has made them have in common with the pose, eq. (10) of
+    Velocity, biases and gravity follow by what the prediction has made them have in common with the pose, eq. (9) of
     docs/theory/loam.md; along what the matches did not see the pose tells nothing.
     """
     information = found.seen.information() / config.loam.correlation
@@ -200,17 +176,12 @@ def anchored(state: NavState) -> NavState:
     return replace(state, covariance=covariance)
 
 
-def _at_end(state: NavState, path: ImuPath) -> NavState:
-    """Return the state at the end of a path."""
-    return replace(state, R_odom_imu=path.R_odom_imu[-1], p_odom=path.p_odom[-1])
-
-
 def _moved(a: ImuPath, b: ImuPath, reach: float) -> float:
     """Return how far two motions of one sweep carry a point at a distance of ``reach`` apart [m]."""
 
     def way(path: ImuPath) -> tuple[Array, Array]:
         R = path.R_odom_imu[0].T
-        return R @ path.R_odom_imu[-1], R @ (path.p_odom[-1] - path.p_odom[0])
+        return np.asarray(R @ path.R_odom_imu[-1]), np.asarray(R @ (path.p_odom[-1] - path.p_odom[0]))
 
     (Ra, pa), (Rb, pb) = way(a), way(b)
     return float(np.linalg.norm(pa - pb) + reach * np.linalg.norm(Ra - Rb) / np.sqrt(2.0))

@@ -146,12 +146,11 @@ class FixChain:
         graph.add(Prior(E(0), SE3(self._T_start), Diagonal(np.array([tilt, tilt, *_LOOSE[[0, 1, 1, 1]]]))))
         P = self._covariance / np.maximum(weights, _LEAST)[:, None, None]
         offset = placement.points(self._arm)
-        arm: dict[str, Array | int] = {}
         if evidence.arm_sigma:
             offset = offset - self._arm  # what the body has turned since the keyframe; the arm itself is a variable
-            arm = {"arm_key": L(0)}
             graph.add(Prior(L(0), evidence.arm, Isotropic(evidence.arm_sigma)))
-        graph.add(AnchoredPosition(X(placement.keyframe), E(0), evidence.p_enu, Covariance(P), offset=offset, **arm))
+        keys, arm = X(placement.keyframe), L(0) if evidence.arm_sigma else None
+        graph.add(AnchoredPosition(keys, E(0), evidence.p_enu, Covariance(P), offset=offset, arm_key=arm))
         return graph
 
     def _solution(self, T_map_imu: Array, T_map_enu: Array, arm: Array, cost: float) -> ChainSolution:

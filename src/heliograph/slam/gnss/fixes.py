@@ -28,6 +28,7 @@ _FEWEST = 10  # fixes from which anything is told
 _GROWTH = 1.5  # all fixes are judged anew when there are this many times more
 _PLUMB = 1e-4  # by how much gravity may point beside the ellipsoid's normal [rad]
 _LOOSE = (3.0, 1e4)  # sigmas of a heading and of an origin that nothing is known of [rad], [m]
+_AGREEING = 0.75  # share of the fixes that must agree: of two camps of like size either may be the wrong one
 _USUAL = 0.01  # share of sound fixes that the test may reject
 _OPTIMISTIC = 1.5  # a receiver whose fixes are worse than it says by more is named
 _CONVERGED = 1e-5  # an update with fixes goes on until no step is longer [rad], [m]
@@ -145,7 +146,7 @@ class GnssFactors:
         self._judgement, self._judged = judge(evidence, self._config), known
         self._reason = self._why_not(self._judgement, chain)
         if self._reason:
-            return False
+            return self._withdraw(smoother)
         self._bring(smoother, self._judgement, known, inertial=inertial)
         return True
 
@@ -240,8 +241,12 @@ class GnssFactors:
         """Return why the map cannot be placed; empty where it can."""
         used = int(judgement.used.sum())
         sigma, allowed = math.degrees(judgement.heading_sigma), self._config.max_heading_sigma_deg
-        if used < max(_FEWEST, int(0.2 * len(judgement.weights))):
-            return f"only {used} of {len(judgement.weights)} fixes agree with each other and with the odometry"
+        compared = int(judgement.placement.covered.sum())
+        if used < max(_FEWEST, _AGREEING * compared):
+            return (
+                f"{used} of {compared} fixes agree with each other and with the odometry, {compared - used} do not: "
+                "with so large a minority the majority may be the wrong one"
+            )
         if sigma > allowed:
             p = chain.T_odom_imu[:, :2, 3]
             reach = float(np.linalg.norm(p - p[0], axis=1).max())
@@ -267,20 +272,29 @@ class GnssFactors:
         result = smoother.update(graph, values if first else None, remove=gone, iterate=_CONVERGED)
         self._in_force = _InForce(result.factors, judgement, known)
 
+    def _withdraw(self, smoother: ISAM2) -> bool:
+        """Take back what was brought in before all fixes together spoke against it; return whether anything was."""
+        if self._in_force is None:
+            return False
+        frame = [int(E(0)), *([int(L(0))] if self._arm_sigma else [])]
+        smoother.update(remove=self._in_force.numbers, remove_variables=frame, iterate=_CONVERGED)
+        self._in_force = None
+        return True
+
     def _graph(self, judgement: Judgement, *, inertial: bool) -> FactorGraph:
         """Return the priors of what is estimated, and a factor for each believed fix."""
         graph, used, placement = FactorGraph(), judgement.used, judgement.placement
         tilt = _PLUMB if inertial else _LOOSE[0]
         start = self._T_start(judgement)
         graph.add(Prior(E(0), SE3(start), Diagonal(np.array([tilt, tilt, _LOOSE[0], *[_LOOSE[1]] * 3]))))
-        offset, arm = placement.points(judgement.arm), {}
+        offset, arm = placement.points(judgement.arm), None
         if self._arm_sigma:
-            offset, arm = offset - judgement.arm, {"arm_key": L(0)}
+            offset, arm = offset - judgement.arm, L(0)
             graph.add(Prior(L(0), self._arm, Isotropic(self._arm_sigma)))
         P = judgement.covariance[used] / judgement.weights[used, None, None]
         p_enu = self.intake.positions()[0][self._judged[used]]
         keys = X(placement.keyframe[used])
-        graph.add(AnchoredPosition(keys, E(0), p_enu, Covariance(P), offset=offset[used], **arm))
+        graph.add(AnchoredPosition(keys, E(0), p_enu, Covariance(P), offset=offset[used], arm_key=arm))
         return graph
 
     def _T_start(self, judgement: Judgement) -> Array:

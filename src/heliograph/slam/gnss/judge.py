@@ -62,17 +62,18 @@ def judge(evidence: FixEvidence, config: GnssConfig) -> Judgement:
             placement = evidence.placed(delay)
             chain = chain.moved(placement)
             weights, solution = _graduated(chain, solution, threshold)
-    grown = _left_over(evidence, weights, solution)
+    judged, grown = solution.squared, _left_over(evidence, weights, solution)
     if grown > _GROWN:
         evidence = replace(evidence, covariance=evidence.covariance * grown**2)
+        # Weighed by it, but not judged again: a wider gate would let in what has just been told apart.
         chain = chain.weighed(evidence.covariance)
-        weights, solution = _graduated(chain, solution, threshold)
+        solution = chain.solve(solution, weights)
     covariance_enu, arm_sigma = chain.marginals(solution, weights)
     return Judgement(
         placement=placement,
         weights=weights * placement.covered,
         covariance=evidence.covariance,
-        squared=solution.squared,
+        squared=judged,
         residual=solution.residual,
         threshold=threshold,
         T_map_enu=solution.T_map_enu,
@@ -174,6 +175,7 @@ def _left_over(evidence: FixEvidence, weights: Array, solution: ChainSolution) -
     if len(pair) >= 20:
         rho = float((white[pair] * white[pair + 1]).sum() / max((white[pair] ** 2).sum(), 1e-12))
     correlated = np.sqrt((1.0 + rho) / (1.0 - min(rho, 0.999))) if rho > _CORRELATED else 1.0
+    correlated = min(correlated, np.sqrt(used.sum()))  # all of one error still tell as much as one fix
     return float(min(size * correlated, _LARGEST_SCALE))
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from heliograph.arrays import Array, Stamps
+from heliograph.arrays import Array, Mask, Stamps
 from heliograph.lie import interpolate_se3, se3
 
 __all__ = ["OdometryTrack"]
@@ -38,7 +39,7 @@ class OdometryTrack:
         """Time of the first scan, 0 before it [ns]."""
         return self._stamps[0] if self._stamps else 0
 
-    def poses(self, times_ns: Stamps) -> tuple[Array, Array]:
+    def poses(self, times_ns: Stamps) -> tuple[Array, Mask]:
         """Return ``T_odom_imu`` (N, 4, 4) at some times (N,), and a mask (N,) of those that scans lie close around."""
         stamps, poses = np.array(self._stamps, dtype=np.int64), np.stack(self._poses)
         after = np.clip(np.searchsorted(stamps, times_ns), 1, max(len(stamps) - 1, 1))
@@ -50,7 +51,7 @@ class OdometryTrack:
 
     def at_keyframes(
         self, times_ns: Stamps, keyframes_ns: Stamps, T_odom_keyframes: Array
-    ) -> tuple[Array, Array, Array]:
+    ) -> tuple[NDArray[np.int64], Array, Mask]:
         """Return the nearest keyframes (N,) of some times, ``T_keyframe_body`` (N, 4, 4) and who is covered (N,)."""
         T, covered = self.poses(times_ns)
         right = np.clip(np.searchsorted(keyframes_ns, times_ns), 0, len(keyframes_ns) - 1)

@@ -141,15 +141,16 @@ def verification(
         raise DataError(f"a loop needs an earlier keyframe as match, got query {query}, match {match} of 0 to {newest}")
     prior = relative(match, query)
     tried = _distinct((LoopStart(source="odometry", T_match_query=prior[0]), *starts), prior, config)
-    if sure:
-        fine = yield from _pair(query, match, maps, relative, config, config.fine_smear)
+    far, short = (_ends(query, match, relative, config, smear) for smear in (config.max_smear, config.fine_smear))
+    if sure and short != far:
+        fine = yield from _pair(query, match, short, maps, relative)
         result = align(fine.target, fine.source, start=prior[0], config=maps.config, threads=threads)
         yield
         one = _Fitted(start=tried[0], result=result, covariance=_covariance(result, fine.bent, config))
         if result.status == "converged" and min(result.overlap_source, result.overlap_target) >= config.min_overlap:
             evidence = _evidence_of(query, match, one, [one], prior, score, config)
             return _concluded(evidence, fine, maps, config)
-    wide = yield from _pair(query, match, maps, relative, config, config.max_smear)
+    wide = yield from _pair(query, match, far, maps, relative)
     fitted = []
     for start in tried:
         result = align(wide.target, wide.source, start=start.T_match_query, config=maps.config, threads=threads)
@@ -159,8 +160,8 @@ def verification(
     evidence = _evidence_of(query, match, best, fitted, prior, score, config)
     if best.evidence == 0.0:
         return evidence
-    fine = yield from _pair(query, match, maps, relative, config, config.fine_smear)
-    if fine.ends != wide.ends:
+    if short != far:
+        fine = yield from _pair(query, match, short, maps, relative)
         evidence = _refined(evidence, fine, config, maps.config, threads)
         yield
     return _concluded(evidence, wide, maps, config)
@@ -173,31 +174,36 @@ def _concluded(evidence: LoopEvidence, pair: _Pair, maps: LocalMaps, config: Loo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Pair:
-    """Local maps of match and query, the keyframes that they reach to, and the covariance that their bend gives."""
+    """Local maps of match and query, and the covariance that their bend gives."""
 
     target: PreparedCloud
     source: PreparedCloud
-    ends: tuple[int, int, int]
     bent: Array
 
     def __post_init__(self) -> None:
         freeze(self)
 
 
+def _ends(query: int, match: int, relative: RelativePose, config: LoopConfig, smear: float) -> tuple[int, int, int]:
+    """Return where the query's local map begins, and where the match's begins and ends."""
+    return (
+        window_end(query, max(0, query - config.before), relative, smear),
+        window_end(match, max(0, match - config.before), relative, smear),
+        window_end(match, min(match + config.after, query - 1), relative, smear),
+    )
+
+
 def _pair(
-    query: int, match: int, maps: LocalMaps, relative: RelativePose, config: LoopConfig, smear: float
+    query: int, match: int, ends: tuple[int, int, int], maps: LocalMaps, relative: RelativePose
 ) -> Generator[None, None, _Pair]:
-    begin = window_end(query, max(0, query - config.before), relative, smear)
-    first = window_end(match, max(0, match - config.before), relative, smear)
-    last = window_end(match, min(match + config.after, query - 1), relative, smear)
-    for centre, ends in ((match, (first, last)), (query, (begin, query))):
-        if not maps.holds(centre, *ends):
-            maps.around(centre, *ends)
+    begin, first, last = ends
+    for centre, of in ((match, (first, last)), (query, (begin, query))):
+        if not maps.holds(centre, *of):
+            maps.around(centre, *of)
             yield
     return _Pair(
         target=maps.around(match, first, last),
         source=maps.around(query, begin, query),
-        ends=(begin, first, last),
         bent=_bent(query, begin, relative) + _bent(match, first, relative),
     )
 

@@ -1,0 +1,156 @@
+"""Compressed bytes to plain ones, never more than was asked for: a small file may stand for any amount of zeros."""
+
+from __future__ import annotations
+
+import bz2
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import lz4.frame
+
+from heliograph.guard.limits import ReadLimits
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+__all__ = ["ZSTD_MAGIC", "unpack", "unpack_file"]
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_PIECE = 1 << 20  # bytes that are unpacked at once
+_DAMAGE = (zstd.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError)
+_HEAD = 18  # bytes of a zstd frame's header at max_bytes
+
+
+def unpack(
+    kind: str, data: bytes | memoryview, limits: ReadLimits, *, size: int | None = None, cut_off: bool = False
+) -> memoryview:
+    """Return the content of a chunk or message.
+
+    Parameters
+    ----------
+    kind : str
+        ``"zstd"``, ``"lz4"``, ``"bz2"``; ``""`` and ``"none"``: it is as it is.
+    data : bytes or memoryview
+        The compressed bytes.
+    limits : ReadLimits
+        Their ``chunk`` is the most that comes out.
+    size : int or None
+        Its size as the container declares it; what is longer or shorter is damaged.
+    cut_off : bool
+        The data end too early: as much as can be had is returned.
+
+    Raises
+    ------
+    ValueError
+        Unknown compression, damage, or more content than is declared or allowed; the message says which.
+    """
+    if kind in ("", "none"):
+        return memoryview(data)
+    if kind not in ("zstd", "lz4", "bz2"):
+        raise ValueError(f"its compression '{kind}' is not known")
+    if size is not None and size > limits.chunk:
+        raise ValueError(limits.chunk_message(size))
+    max_bytes = limits.chunk if size is None else size
+    found: list[bytes] = []
+    length = 0
+    try:
+        for piece in _pieces(
+            kind, bytes(data) if kind == "lz4" else data, min(max_bytes + 1, _PIECE if size is None else max_bytes + 1)
+        ):
+            found.append(piece)
+            length += len(piece)
+            if length > max_bytes:
+                raise ValueError(
+                    limits.chunk_message(max_bytes) if size is None else f"it holds more than its {size} bytes"
+                )
+    except _DAMAGE as error:
+        if not (cut_off and 0 < length <= max_bytes):
+            raise ValueError(str(error) or type(error).__name__) from error
+    if size is not None and length != size and not cut_off:
+        raise ValueError(f"it holds {length} bytes instead of {size}")
+    return memoryview(found[0] if len(found) == 1 else b"".join(found))
+
+
+def _pieces(kind: str, data: bytes | memoryview, at_once: int) -> Iterator[bytes]:
+    """Yield the content piece by piece, of all frames that follow each other."""
+    while data:
+        stream = _decompressor(kind)
+        piece = stream.decompress(data, at_once)
+        while True:
+            if piece:
+                yield piece
+            if stream.eof:
+                break
+            before, piece = len(piece), stream.decompress(b"", at_once)
+            if not piece and not before:
+                raise ValueError("it is cut off")
+        data = stream.unused_data or b""
+
+
+def _decompressor(kind: str) -> Any:  # noqa: ANN401 - three libraries, one interface
+    if kind == "bz2":
+        return bz2.BZ2Decompressor()
+    return zstd.ZstdDecompressor() if kind == "zstd" else lz4.frame.LZ4FrameDecompressor()
+
+
+def unpack_file(path: Path, target: Path, limits: ReadLimits) -> str:
+    """Write the content of a zstd file to another one.
+
+    Returns
+    -------
+    str
+        Why it ends early; empty where it is whole.
+
+    Raises
+    ------
+    ValueError
+        There is more in it than is allowed, or than the disk of ``target`` has room for.
+    OSError
+        One of the files cannot be read or written.
+    """
+    packed = path.stat().st_size
+    room = shutil.disk_usage(target.parent).free - limits.reserve
+    with path.open("rb") as source:
+        declared = _declared(source.read(_HEAD))
+        _check_room(declared, packed, room, target.parent, limits)
+        source.seek(0)
+        with target.open("wb") as out:
+            return _copy(source, out, packed, room, limits)
+
+
+def _copy(source: BinaryIO, out: BinaryIO, packed: int, room: int, limits: ReadLimits) -> str:
+    written = 0
+    try:
+        with zstd.open(source, "rb") as content:
+            while piece := content.read(_PIECE):
+                written += len(piece)
+                _check_room(written, packed, room, Path(out.name).parent, limits)
+                out.write(piece)
+    except (zstd.ZstdError, EOFError) as error:
+        return str(error) or "it is cut off"
+    return ""
+
+
+def _declared(head: bytes) -> int:
+    try:
+        return int(zstd.get_frame_info(head).decompressed_size or 0)
+    except (zstd.ZstdError, ValueError):
+        return 0  # the file is damaged, which unpacking tells
+
+
+def _check_room(size: int, packed: int, room: int, folder: Path, limits: ReadLimits) -> None:
+    if size > max(limits.chunk, limits.ratio * packed):
+        raise ValueError(
+            f"it unpacks to more than {limits.ratio:g} times its size, which no recording does; if it is to be "
+            f"trusted, unpack it with `zstd -d`, or raise input.max_unpack_ratio"
+        )
+    if size > room:
+        raise ValueError(
+            f"{folder} has room for {max(room, 0) / 1e6:.0f} MB of its content, which is more; set TMPDIR to a folder "
+            "on a larger disk, or unpack it with `zstd -d`"
+        )

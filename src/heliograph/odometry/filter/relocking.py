@@ -1,0 +1,212 @@
+"""The place of a scan in the map, sought widely after an outage has left the prediction vague.
+
+A narrow search from a vague prediction ends in the nearest place that fits a little. Here the whole region that the
+prediction allows is looked at first: how much of the scan lies on planes of the map, at poses on a grid over position
+and heading. The best few are registered, and the scan is placed only where one of them matches about as well as scans
+did before the outage, and no other place does nearly so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.arrays import Array
+from heliograph.data import Event, NavState
+from heliograph.data.error_layout import POSE, POSITION, ROTATION
+from heliograph.lie import so3
+from heliograph.maps import LocalMap
+from heliograph.odometry.filter.measurement import ScanMeasurement
+from heliograph.odometry.filter.update import FilterUpdate
+
+__all__ = ["Relocker", "find_place"]
+
+_VAGUE_SIGMA = 0.1  # of a predicted position that is sought widely [m]
+_SEEK_EVERY = 3  # scans from one search to the next
+_GIVE_UP_NS = 3_000_000_000  # of scans without a place, after which a new piece of map is begun [ns]
+_REMARKED_NS = 300_000_000  # without a place that deserve a remark [ns]
+
+_POINTS = 120  # of a scan that are looked up at each pose
+_STEP, _YAW_STEP = 0.5, np.radians(8.0)  # of the grid [m], [rad]
+_REACH_SIGMAS, _MAX_REACH, _MAX_RISE = 3.0, 8.0, 1.0  # how far the grid goes: sigmas, metres along and up
+_MAX_POSES = 6000
+_GATE = 0.35  # of a point to a plane on the grid [m]
+_TRIED = 6  # poses that are registered
+_START_SIGMA, _START_TURN = 0.4, np.radians(6.0)  # of such a pose [m], [rad]
+_USUAL_PART, _RIVAL_PART = 0.85, 0.93  # of the usual matched share that a place needs; of it that no other may reach
+_ELSEWHERE, _TURNED = 0.6, np.radians(12.0)  # apart by more, two places are two [m], [rad]
+
+
+class Relocker:
+    """Follows how long scans have found no place, seeks them widely, and gives the map up when that does not help."""
+
+    def __init__(self) -> None:
+        self._since_ns: int | None = None
+        self._count = 0
+        self._last_ns = 0
+        self._events: list[Event] = []
+
+    def sought(
+        self,
+        prior: NavState,
+        covariance: Array,
+        local_map: LocalMap,
+        points_imu: NDArray[np.float32],
+        attempt: Callable[[NavState], FilterUpdate[ScanMeasurement]],
+        usual_share: float,
+    ) -> FilterUpdate[ScanMeasurement] | None:
+        """Return what `find_place` finds where the prediction is vague, at every third scan; else None."""
+        if not _is_vague(covariance) or usual_share == 0.0:
+            return None
+        self._count += 1
+        if self._count % _SEEK_EVERY != 1:
+            return None
+        return find_place(prior, covariance, local_map, points_imu, attempt, usual_share)
+
+    def told(self, prior: NavState, fit: FilterUpdate[ScanMeasurement] | None) -> bool:
+        """Take in whether a scan found its place; True when the map is to be given up for a new one."""
+        last_ns, self._last_ns = self._last_ns or prior.stamp_ns, prior.stamp_ns
+        if fit is not None:
+            away = prior.stamp_ns - (self._since_ns or prior.stamp_ns)
+            if away >= _REMARKED_NS:
+                moved = float(np.linalg.norm(fit.state.p_odom - prior.p_odom))
+                text = (
+                    f"after {away * 1e-9:.1f} s without a match the scans were found again in the map, {moved:.2f} m "
+                    "from where the motion model had carried them"
+                )
+                self._events.append(Event(code="relocked", message=text, stamp_ns=prior.stamp_ns))
+            self._since_ns, self._count = None, 0
+            return False
+        self._since_ns = self._since_ns or last_ns
+        if prior.stamp_ns - self._since_ns < _GIVE_UP_NS or self._count < _SEEK_EVERY:
+            return False
+        sigma = float(np.sqrt(np.linalg.eigvalsh(prior.covariance[POSITION, POSITION])[-1]))
+        text = (
+            f"after {(prior.stamp_ns - self._since_ns) * 1e-9:.1f} s no place in the map fits the scans: a new piece "
+            f"of map begins here, known to {sigma:.1f} m (1 sigma) against the one before; come back to a place of it "
+            "to join them by a loop"
+        )
+        self._events.append(Event(code="new-piece", message=text, stamp_ns=prior.stamp_ns, severity="error"))
+        self._since_ns, self._count = None, 0
+        return True
+
+    def taken_events(self) -> tuple[Event, ...]:
+        """Return what has happened since it was asked last."""
+        events, self._events = tuple(self._events), []
+        return events
+
+
+def _is_vague(covariance: Array) -> bool:
+    return float(np.linalg.eigvalsh(covariance[POSITION, POSITION])[-1]) > _VAGUE_SIGMA**2
+
+
+def find_place(
+    prior: NavState,
+    covariance: Array,
+    local_map: LocalMap,
+    points_imu: NDArray[np.float32],
+    attempt: Callable[[NavState], FilterUpdate[ScanMeasurement]],
+    usual_share: float,
+) -> FilterUpdate[ScanMeasurement] | None:
+    """Return the update at the scan's place in the map; None where no place, or more than one, fits.
+
+    Parameters
+    ----------
+    prior : NavState
+        The vague prediction.
+    covariance : (6, 6) float64
+        Covariance of its pose in the map.
+    local_map : LocalMap
+    points_imu : (N, 3) float32
+        Points of the scan as the prediction de-skews them [m].
+    attempt : callable
+        Registers the scan from a state.
+    usual_share : float
+        Share of the points that matched in scans before.
+    """
+    poses = _grid(prior, covariance)
+    shares = _shares(poses, local_map, points_imu[:: max(1, len(points_imu) // _POINTS)])
+    found: list[tuple[float, FilterUpdate[ScanMeasurement]]] = []
+    for k in _distinct(poses, shares):
+        fit = attempt(_state_at(prior, poses[k]))
+        share = fit.measurement.sums.matches / max(fit.measurement.sums.queries, 1)
+        if fit.converged:
+            found.append((share, fit))
+    if not found:
+        return None
+    best_share, best = max(found, key=lambda item: item[0])
+    rivals = [share for share, fit in found if _apart(fit.state, best.state) and share > _RIVAL_PART * best_share]
+    return best if best_share >= _USUAL_PART * usual_share and not rivals else None
+
+
+def _grid(prior: NavState, covariance: Array) -> Array:
+    """Return poses (K, 4, 4) over what the prediction allows of position and heading, the prediction among them."""
+    sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[POSITION, POSITION])[-1], 0.0))
+    up = np.array([0.0, 0.0, 1.0]) if not prior.g_odom.any() else -prior.g_odom / np.linalg.norm(prior.g_odom)
+    along = prior.R_odom_imu.T @ up
+    turn = float(np.sqrt(max(along @ covariance[ROTATION, ROTATION] @ along, 0.0)))
+    reach = float(np.clip(_REACH_SIGMAS * sigma, 2 * _STEP, _MAX_REACH))
+    yaws = _steps(min(_REACH_SIGMAS * turn, np.pi), _YAW_STEP)
+    rises = _steps(min(_REACH_SIGMAS * float(np.sqrt(covariance[5, 5])), _MAX_RISE), _STEP)
+    step = _STEP
+    while (2 * reach / step + 1) ** 2 * len(yaws) * len(rises) > _MAX_POSES:
+        step *= 1.25
+    ways = _steps(reach, step)
+    x, y, z, yaw = (values.ravel() for values in np.meshgrid(ways, ways, rises, yaws, indexing="ij"))
+    poses = np.tile(np.eye(4), (len(x), 1, 1))
+    poses[:, :3, :3] = so3.exp(yaw[:, None] * up) @ prior.R_odom_imu
+    poses[:, :3, 3] = prior.p_odom + np.stack([x, y, z], axis=1)
+    return poses
+
+
+def _steps(reach: float, step: float) -> Array:
+    count = int(np.ceil(reach / step)) if reach > 0.5 * step else 0
+    return step * np.arange(-count, count + 1, dtype=np.float64)
+
+
+def _shares(poses: Array, local_map: LocalMap, points: NDArray[np.float32]) -> Array:
+    """Return the share of the points that lie on a plane of the map at each pose, (K,)."""
+    shares = np.empty(len(poses))
+    for begin in range(0, len(poses), 200):
+        part = poses[begin : begin + 200]
+        at = points.astype(np.float64) @ np.swapaxes(part[:, :3, :3], -1, -2) + part[:, None, :3, 3]
+        found = local_map.planes_at(np.ascontiguousarray(at.reshape(-1, 3)), gate=_GATE)
+        off = np.abs(np.einsum("ij,ij->i", found.normal, at.reshape(-1, 3) - found.point))
+        hit = (found.source > 0) & (off < _GATE)
+        shares[begin : begin + 200] = hit.reshape(len(part), -1).mean(axis=1)
+    return shares
+
+
+def _distinct(poses: Array, shares: Array) -> list[int]:
+    """Return the best poses that are no neighbours of a better one."""
+    chosen: list[int] = []
+    for k in np.argsort(-shares, kind="stable"):
+        near = [
+            j
+            for j in chosen
+            if np.linalg.norm(poses[k, :3, 3] - poses[j, :3, 3]) < 1.5 * _STEP
+            and np.trace(poses[k, :3, :3].T @ poses[j, :3, :3]) > 1.0 + 2.0 * np.cos(2.0 * _YAW_STEP)
+        ]
+        if not near:
+            chosen.append(int(k))
+        if len(chosen) >= _TRIED:
+            break
+    return chosen
+
+
+def _state_at(prior: NavState, T: Array) -> NavState:
+    """Return the prediction moved to a pose of the grid, as sure of it as the grid is fine."""
+    R = T[:3, :3] @ prior.R_odom_imu.T
+    covariance = prior.covariance.copy()
+    covariance[POSE, :] = 0.0
+    covariance[:, POSE] = 0.0
+    covariance[POSE, POSE] = np.diag(np.repeat([_START_TURN, _START_SIGMA], 3) ** 2)
+    return replace(prior, R_odom_imu=T[:3, :3], p_odom=T[:3, 3].copy(), v_odom=R @ prior.v_odom, covariance=covariance)
+
+
+def _apart(a: NavState, b: NavState) -> bool:
+    turn = float(np.linalg.norm(so3.log(a.R_odom_imu.T @ b.R_odom_imu)))
+    return float(np.linalg.norm(a.p_odom - b.p_odom)) > _ELSEWHERE or turn > _TURNED

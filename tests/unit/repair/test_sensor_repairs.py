@@ -1,0 +1,110 @@
+"""What is mended of an IMU that is spoilt in one way, and that nothing is of one that is sound."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from heliograph.checks.arrangement import ARRANGEMENTS
+from heliograph.config import RunConfig
+from heliograph.data import ImuBatch, ImuClock, Rig, SensorRepair
+from heliograph.repair import RepairedSource
+from heliograph.repair.find import sensor_repairs
+from heliograph.sim import SCENARIOS
+from imu_records import made_records
+
+HALF_TURN = np.diag([1.0, -1.0, -1.0])
+QUARTER_TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def sound():
+    scenario = SCENARIOS["room"].varied(gait={"roll_deg": 10.0, "pitch_deg": 8.0, "yaw_deg": 12.0, "bounce": 0.05})
+    return made_records(scenario.thinned(duration=15.0), seed=3)
+
+
+def batch_of(imu):
+    return ImuBatch(stamps_ns=imu.stamps_ns, gyro=imu.gyro, accel=imu.accel, received_ns=int(imu.stamps_ns[-1]))
+
+
+def repairs_of(records, *, gyro=None, accel=None, late=0.0):
+    imu, motion = records
+    batch = batch_of(imu)
+    batch = replace(
+        batch,
+        gyro=batch.gyro if gyro is None else batch.gyro @ gyro.T,
+        accel=batch.accel if accel is None else batch.accel @ accel.T,
+        stamps_ns=batch.stamps_ns + round(1e9 * late),
+    )
+    return sensor_repairs(batch, motion, RunConfig())
+
+
+def test_nothing_is_mended_of_a_sound_imu(sound):
+    assert repairs_of(sound) == ([], False)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("place", ["room", "tunnel", "warehouse"])
+def test_nothing_is_mended_of_sound_recordings(place, seed):
+    records = made_records(SCENARIOS[place].thinned(duration=12.0), seed=200 + seed)
+    assert repairs_of(records) == ([], False)
+
+
+@pytest.mark.parametrize(
+    ("code", "spoilt"),
+    [
+        ("accel-axes", {"accel": -np.eye(3)}),
+        ("accel-unit", {"accel": np.eye(3) / 9.80665e-3}),
+        ("gyro-unit", {"gyro": np.eye(3) * 180e3 / np.pi}),
+        ("gyro-axes", {"gyro": ARRANGEMENTS[1]}),
+        ("imu-axes", {"gyro": np.diag([1.0, -1.0, 1.0]), "accel": np.diag([1.0, -1.0, 1.0])}),
+        ("clock-offset", {"late": 0.3}),
+        ("clock-offset", {"late": -2.5}),
+    ],
+)
+def test_one_fault_is_mended_by_what_undoes_it(sound, code, spoilt):
+    found, wrong = repairs_of(sound, **spoilt)
+    assert [repair.code for repair in found] == [code] and not wrong
+    repair = found[0]
+    for name in ("gyro", "accel"):
+        np.testing.assert_allclose(getattr(repair, name) @ spoilt.get(name, np.eye(3)), np.eye(3), atol=1e-9)
+    assert repair.clock.offset == pytest.approx(spoilt.get("late", 0.0), abs=0.01)
+    assert len(repair.sentence) > 40
+
+
+@pytest.mark.parametrize("turn", [HALF_TURN, QUARTER_TURN])
+def test_a_turn_that_both_sensors_show_is_the_mountings_fault(sound, turn):
+    found, wrong = repairs_of(sound, gyro=turn, accel=turn)
+    assert found == [] and wrong
+
+
+def test_a_small_offset_is_left_to_calibration(sound):
+    assert repairs_of(sound, late=0.01) == ([], False)
+
+
+class Live:
+    """A source of one batch."""
+
+    rig = Rig(T_imu_lidar=np.eye(4), source="test")
+    sensors = frozenset({"imu", "lidar"})
+    repeatable = True
+    events = ()
+
+    def stream(self):
+        stamps = np.arange(0, 1_000_000_000, 10_000_000, dtype=np.int64)
+        ones = np.ones((len(stamps), 3))
+        yield ImuBatch(stamps_ns=stamps, gyro=ones, accel=2.0 * ones, received_ns=int(stamps[-1]))
+
+    def close(self):
+        return
+
+
+def test_a_repaired_source_passes_on_what_the_repairs_leave():
+    mended = RepairedSource(Live(), [
+        SensorRepair(code="accel-axes", sentence="x", accel=-np.eye(3)),
+        SensorRepair(code="clock-offset", sentence="y", clock=ImuClock(offset=0.25)),
+    ])  # fmt: skip
+    (batch,) = mended.stream()
+    assert np.all(batch.accel == -2.0) and np.all(batch.gyro == 1.0) and batch.stamps_ns[0] == -250_000_000
+    assert [event.code for event in mended.events] == ["repaired-accel-axes", "repaired-clock-offset"]
+    assert RepairedSource(Live(), [SensorRepair(code="g", sentence="z", without_imu=True)]).sensors == {"lidar"}
