@@ -14,6 +14,7 @@ from heliograph.checks.records import CheckedMotion
 from heliograph.data import Georeference, GnssFix, ImuBatch, Keyframe, Rig, Scan, Trajectory, WheelSpeeds
 from heliograph.data.imu_record import ImuRecord
 from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose
+from heliograph.maps.feature_map import FeaturePoints
 from heliograph.maps.global_map import MapCells
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.submaps import Submap
@@ -63,6 +64,7 @@ CHECKED = {
     ExtendedPose: {"matrix": np.eye(5)},
     MapMounting: {"T_imu_lidar": np.eye(4), "T_odom_imu_first": np.eye(4)},
     MapCells: {name: getattr(CELLS, name).copy() for name in ("cubes", "sums", "intensity", "counts")},
+    FeaturePoints: {name: np.zeros((2, 3), np.float32) for name in ("edges", "planes")},
     FinalPoses: {"stamps_ns": STAMPS, "T_odom_imu": POSES.copy(), "T_map_imu": POSES.copy()},
     Submap: {"T_odom_imu": np.eye(4), "cells": CELLS},
     S2: {"vector": np.ones(3)},
