@@ -91,7 +91,7 @@ class SurfaceWatch:
         if self._begin is not None and self._previous is not None and self._points:
             points, classes = np.concatenate(self._points), np.concatenate(self._classes)
             whole, cubes = _thickness(points)
-            if cubes >= _MIN_CUBES:
+            if np.isfinite(whole):
                 turning, far = classes >= 2, classes % 2 == 1
                 parts = [_thickness(points[part])[0] for part in (~turning, turning, ~far, far)]
                 seconds = max((self._previous.end_ns - self._begin[0]) * 1e-9, 1e-9)
@@ -125,7 +125,9 @@ def _thickness(points: Array) -> tuple[float, int]:
     if np.count_nonzero(wall) < _MIN_CUBES:
         return float("nan"), int(np.count_nonzero(wall))
     thick = np.sqrt(np.maximum(values[wall, 0], 0.0))
-    # A wrong heading smears walls and leaves the floor alone: the way that walls face which is worst counts.
+    # A wrong heading smears walls and leaves the floor alone: the way that walls face which is worst counts. A few cubes
+    # that face one way may all be clutter: they tell nothing.
     facing = np.abs(vectors[wall, :, 0]).argmax(axis=1)
     kinds = [thick[facing == axis] for axis in range(3)]
-    return max(float(np.quantile(kind, _CLEAN_QUANTILE)) for kind in kinds if 3 * len(kind) >= _MIN_CUBES), len(thick)
+    cleanest = [float(np.quantile(kind, _CLEAN_QUANTILE)) for kind in kinds if len(kind) >= _MIN_CUBES]
+    return max(cleanest, default=float("nan")), len(thick)
