@@ -125,8 +125,8 @@ def _thickness(points: Array) -> tuple[float, int]:
     if np.count_nonzero(wall) < _MIN_CUBES:
         return float("nan"), int(np.count_nonzero(wall))
     thick = np.sqrt(np.maximum(values[wall, 0], 0.0))
-    # A wrong heading smears walls and leaves the floor alone: the way that walls face which is worst counts. A few cubes
-    # that face one way may all be clutter: they tell nothing.
+    # A wrong heading smears walls and leaves the floor alone: the way that walls face which is worst counts. A few
+    # cubes that face one way may all be clutter: they tell nothing.
     facing = np.abs(vectors[wall, :, 0]).argmax(axis=1)
     kinds = [thick[facing == axis] for axis in range(3)]
     cleanest = [float(np.quantile(kind, _CLEAN_QUANTILE)) for kind in kinds if len(kind) >= _MIN_CUBES]
