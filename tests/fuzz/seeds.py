@@ -24,7 +24,7 @@ name = "fuzz"
 place = "room"
 [walk]
 speed = 0.5
-duration = 2.0
+duration = 1.0
 rest = 0.5
 ramp = 0.3
 [lidar]
