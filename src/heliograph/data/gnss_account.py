@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import freeze, frozen
+from heliograph.data.error_layout import ROTATION
 
 __all__ = ["Georeference", "GnssAccount", "JudgedFix"]
 
@@ -87,7 +88,7 @@ class Georeference:
     def heading_sigma(self) -> float:
         """One-sigma of the heading [rad]."""
         up = self.T_map_enu[:3, :3].T[:, 2]
-        return float(np.sqrt(max(up @ self.covariance[:3, :3] @ up, 0.0)))
+        return float(np.sqrt(max(up @ self.covariance[ROTATION, ROTATION] @ up, 0.0)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import as_pose, freeze
 from heliograph.config import FilterConfig, LoamConfig
+from heliograph.data.error_layout import POSITION, ROTATION
 from heliograph.lie import so3
 from heliograph.maps import FeatureMap, FeaturePoints
 from heliograph.registration.linearize import NormalEquations
@@ -135,8 +136,8 @@ def register_features(
         step = -seen.covariance() @ seen.gradient(sums.gradient)  # eq. (7)
         T, count = _moved(T, step), count + 1
         small = (
-            float(np.linalg.norm(step[:3])) < settings.tolerance_rotation
-            and float(np.linalg.norm(step[3:])) < settings.tolerance_position
+            float(np.linalg.norm(step[ROTATION])) < settings.tolerance_rotation
+            and float(np.linalg.norm(step[POSITION])) < settings.tolerance_position
         )
         if wide <= 1.0 and small:
             converged = _apart(matched_at, T, settings.typical_range) <= config.rematch
@@ -151,8 +152,8 @@ def register_features(
 def _moved(T: Array, step: Array) -> Array:
     """Return the pose after a right perturbation of the rotation and a step along odom axes."""
     out = np.array(T)
-    out[:3, :3] = T[:3, :3] @ so3.exp(step[:3])
-    out[:3, 3] += step[3:]
+    out[:3, :3] = T[:3, :3] @ so3.exp(step[ROTATION])
+    out[:3, 3] += step[POSITION]
     return out
 
 

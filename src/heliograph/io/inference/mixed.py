@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
 
-from heliograph.data import Event, ImuClock
+from heliograph.data import Event, ImuClock, Scan
+from heliograph.errors import DataError
 from heliograph.io.inference.mounting import FrameTree
 from heliograph.io.inference.scans import PointTiming, to_scan
 from heliograph.io.raw import RawCloud, RawImu
@@ -70,10 +71,21 @@ def clock_apart(clouds: Sequence[RawCloud], samples: Sequence[RawImu], timing: P
     """
     if not clouds or not samples:
         return None
-    scans = [to_scan(cloud, timing) for cloud in clouds]
+    scans = list(_usable_scans(clouds, timing))
+    if not scans:
+        return None
     lidar = float(np.median([float(scan.received_ns - scan.end_ns) for scan in scans]))
     imu = float(np.median([float(sample.received_ns - sample.stamp_ns) for sample in samples]))
     offset = (lidar - imu) * 1e-9
     if abs(offset) < _MAX_CLOCK_DISTANCE_S:
         return None
     return ImuClock(offset=offset, reference_ns=scans[0].stamp_ns)
+
+
+def _usable_scans(clouds: Sequence[RawCloud], timing: PointTiming) -> Iterator[Scan]:
+    """Yield the clouds that can be read; one whose times are none is told, and left out, when its turn comes."""
+    for cloud in clouds:
+        try:
+            yield to_scan(cloud, timing)
+        except DataError:
+            continue

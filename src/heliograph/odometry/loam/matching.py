@@ -152,7 +152,7 @@ def fused(prior: NavState, found: FeatureRegistration, config: RunConfig) -> Fil
         turn = so3.log(found.T_odom_body[:3, :3].T @ state.R_odom_imu)
         error = np.concatenate([turn, state.p_odom - found.T_odom_body[:3, 3]])
         J = np.eye(6)
-        J[:3, :3] = np.linalg.inv(so3.right_jacobian(turn))
+        J[ROTATION, ROTATION] = np.linalg.inv(so3.right_jacobian(turn))
         return ScanMeasurement(
             columns=columns, information=J.T @ information @ J, gradient=J.T @ information @ error, sums=found.sums
         )

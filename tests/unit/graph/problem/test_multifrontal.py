@@ -275,8 +275,9 @@ for world in (sparse_world(rng, 300), complete_graph(150, 2, rng), complete_grap
 
 def test_instruction_sets_agree():
     streams = []
-    for isa in ("baseline", "auto"):
-        environment = {**os.environ, "HELIOGRAPH_ISA": isa, "PYTHONPATH": str(TESTS)}
+    best = {name: value for name, value in os.environ.items() if name != "HELIOGRAPH_ISA"}
+    for isa in ({"HELIOGRAPH_ISA": "baseline"}, {}):
+        environment = {**best, **isa, "PYTHONPATH": str(TESTS)}
         done = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True, check=True)
         streams.append(io.BytesIO(done.stdout))
     for _ in range(3):
