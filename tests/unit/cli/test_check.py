@@ -80,7 +80,7 @@ def test_imu_alone_is_checked(call, recording, monkeypatch):
 @pytest.mark.parametrize(("arguments", "words"), [
     (("nowhere.mcap",), ("nowhere.mcap",)),
     (("room", "--imu-topic", "/nothing"), ("/nothing", "/imu/data")),
-    (("a_run",), ("folder of a run", "recording")),
+    (("a_run",), ("a_run", "no verdicts", "run it again")),
     (("clouds",), ("no IMU",)),
     (("room", "--set", "input.accel_unit=stone"), ("accel_unit",)),
 ])  # fmt: skip

@@ -20,6 +20,7 @@ from heliograph.sim import find_scenario
 from heliograph.sim.write import write_recording
 
 FILES = {
+    "gnss.csv",
     "trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum", "map.ply", "map.png", "map.pgw", "scans.csv",
     "run.json", "keyframes", "loops.csv", "graph.g2o", "graph.npz",
     "config.toml", "report.html",
@@ -43,12 +44,13 @@ def test_run_writes_the_contract_files_into_the_default_folder(call, recording, 
     assert code == 0
     folder = tmp_path / "room_heliograph"
     assert {path.name for path in folder.iterdir()} == FILES
-    last = out.splitlines()[-8:]
+    last = out.splitlines()[-10:]
     assert last[0].startswith("distance ") and "start-end gap" in last[0]
     assert "ms a scan" in last[1] and last[2].startswith("level known to") and " deg: +- " in last[2]
     assert last[3].startswith("worst weak direction")
     assert "keyframes; no loop closed" in last[4]
-    assert all(name in last[5] for name in FILES) and last[7] == "status: ok"
+    assert last[5].startswith("gnss: ") and last[6].startswith("checks: smeared map ")
+    assert all(name in last[7] for name in FILES) and last[9] == "status: ok"
     rows = read_tum(folder / "trajectory.tum")
     assert len(rows) == json.loads((folder / "run.json").read_text())["scans"]
 
@@ -209,9 +211,9 @@ def test_help_lists_what_is_registered(call, monkeypatch):
 
     monkeypatch.setitem(ODOMETRIES, "mine", "own_parts:Standing")
     code, out, _ = call("run", "--help")
-    assert code == 0 and "filter, mine" in out and "rosbag" in out
+    assert code == 0 and "filter, loam, mine" in out and "rosbag" in out
     code, out, _ = call("info", "--help")
-    assert code == 0 and "rosbag" in out and "filter, mine" not in out
+    assert code == 0 and "rosbag" in out and "loam, mine" not in out
 
 
 def test_info_shows_the_evidence(call, recording):

@@ -54,7 +54,7 @@ def test_nothing_is_mended_of_sound_recordings(place, seed):
     ("code", "spoilt"),
     [
         ("accel-axes", {"accel": -np.eye(3)}),
-        ("accel-unit", {"accel": np.eye(3) / 9.80665e-3}),
+        ("accel-unit", {"accel": np.eye(3) / 9.80665}),
         ("gyro-unit", {"gyro": np.eye(3) * 180e3 / np.pi}),
         ("gyro-axes", {"gyro": ARRANGEMENTS[1]}),
         ("imu-axes", {"gyro": np.diag([1.0, -1.0, 1.0]), "accel": np.diag([1.0, -1.0, 1.0])}),
@@ -70,6 +70,12 @@ def test_one_fault_is_mended_by_what_undoes_it(sound, code, spoilt):
         np.testing.assert_allclose(getattr(repair, name) @ spoilt.get(name, np.eye(3)), np.eye(3), atol=1e-9)
     assert repair.clock.offset == pytest.approx(spoilt.get("late", 0.0), abs=0.01)
     assert len(repair.sentence) > 40
+
+
+def test_units_that_are_too_alike_are_left_to_the_user(sound):
+    """A thousandth of g and a centimetre per second squared differ by 2 %, as an accelerometer's scale may."""
+    found, _ = repairs_of(sound, accel=np.eye(3) / 9.80665e-3)
+    assert found == []
 
 
 @pytest.mark.parametrize("turn", [HALF_TURN, QUARTER_TURN])
