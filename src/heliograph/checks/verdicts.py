@@ -81,7 +81,7 @@ def check_smear(evidence: RunEvidence) -> Finding:
     code, title, picture = "smeared-map", "smeared map", "map.png"
     if not evidence.walls:
         why = "no window of the run shows enough pieces of wall or floor" if evidence.has_lidar else "there is no LiDAR"
-        return Finding(code=code, title=title, verdict="unknown", evidence=why, picture=picture)
+        return Finding(code=code, title=title, verdict="unknown", evidence=why)
     thick = np.array([wall.whole for wall in evidence.walls])
     middle = evidence.walls[int(np.argsort(thick, kind="stable")[(len(thick) - 1) // 2])]
     config = evidence.config
@@ -178,7 +178,7 @@ def check_loops(evidence: RunEvidence) -> Finding:
     graph = evidence.graph
     if graph is None or not (graph.accepted or graph.revoked):
         text = "there is no graph" if graph is None else f"no loop was closed ({graph.candidates} candidates)"
-        return Finding(code=code, title=title, verdict="unknown", evidence=text, picture=picture)
+        return Finding(code=code, title=title, verdict="unknown", evidence=text)
     share = graph.revoked / (graph.accepted + graph.revoked)
     numbers = (Number(name="taken back", value=share, limit=evidence.config.max_revoked_share),)
     text = f"{graph.accepted} loops stand, {graph.revoked} were taken back; they moved the path by {graph.moved:.3f} m"
