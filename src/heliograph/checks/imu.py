@@ -20,15 +20,9 @@ from heliograph.checks.stamps import (
 from heliograph.checks.units import check_accel_unit, check_gyro_unit
 from heliograph.config import CheckConfig
 
-__all__ = ["IMU_CHECKS", "check_imu"]
+__all__ = ["IMU_CHECKS", "IN_RUN_CHECKS", "check_imu"]
 
-IMU_CHECKS: tuple[Callable[[Evidence], Finding], ...] = (
-    check_values,
-    check_clock,
-    check_order,
-    check_gaps,
-    check_rate,
-    check_jitter,
+IN_RUN_CHECKS: tuple[Callable[[Evidence], Finding], ...] = (
     check_channels,
     check_saturation,
     check_accel_unit,
@@ -39,6 +33,17 @@ IMU_CHECKS: tuple[Callable[[Evidence], Finding], ...] = (
     check_mounting,
     check_vibration,
     check_prediction,
+)
+"""Those that need no messages as they were recorded; stamps are the reader's to count."""
+
+IMU_CHECKS: tuple[Callable[[Evidence], Finding], ...] = (
+    check_values,
+    check_clock,
+    check_order,
+    check_gaps,
+    check_rate,
+    check_jitter,
+    *IN_RUN_CHECKS,
 )
 """One function a check; of equally bad findings the earliest is the one to act on first."""
 

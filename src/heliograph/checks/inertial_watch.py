@@ -5,30 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from heliograph.arrays import Array
-from heliograph.checks.agreement import check_clock_offset, check_prediction
-from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
 from heliograph.checks.evidence import gather
+from heliograph.checks.imu import IN_RUN_CHECKS
 from heliograph.checks.records import VERDICTS, CheckedMotion, Finding, ImuRecord
-from heliograph.checks.signals import check_channels, check_saturation, check_vibration
-from heliograph.checks.units import check_accel_unit, check_gyro_unit
 from heliograph.config import CheckConfig
 from heliograph.data import ImuBatch, Rig, ScanResult, Trajectory
 
-__all__ = ["IN_RUN_CHECKS", "InertialWatch", "merged"]
-
-IN_RUN_CHECKS = (
-    check_channels,
-    check_saturation,
-    check_accel_unit,
-    check_gyro_unit,
-    check_clock_offset,
-    check_gyro_axes,
-    check_accel_axes,
-    check_mounting,
-    check_vibration,
-    check_prediction,
-)
-"""Those of `IMU_CHECKS` that need no messages as they were recorded; stamps are the reader's to count."""
+__all__ = ["InertialWatch", "merged"]
 
 _FIRST_S, _WINDOW_S, _PAUSE_S = 12.0, 30.0, 300.0  # the first window, later ones, and what lies between those
 _SHORTEST_S = 5.0  # window at a recording's end that is worth a look
