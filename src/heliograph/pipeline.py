@@ -7,7 +7,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -162,15 +162,17 @@ def back_end(
     folder: Path | None, config: RunConfig, sensors: frozenset[str], rig: Rig
 ) -> Iterator[SlamSession | NoSlam]:
     """Yield the back-end of a run; without a LiDAR, or where it is switched off, one that does nothing."""
+    given = is_pose_file(config.odometry)
     if not config.slam.graph or "lidar" not in sensors:
-        given = is_pose_file(config.odometry) and "lidar" in sensors
-        yield NoSlam(("nothing compared the poses of the file with the clouds (--no-graph)",) if given else ())
-    elif folder is not None:
-        yield SlamSession(folder, config, poses_given=is_pose_file(config.odometry), antenna_imu=rig.antenna_imu)
-    else:
-        with tempfile.TemporaryDirectory(prefix="heliograph_") as path:
-            given = is_pose_file(config.odometry)
-            yield SlamSession(Path(path), config, poses_given=given, kept=False, antenna_imu=rig.antenna_imu)
+        doubted = given and "lidar" in sensors
+        yield NoSlam(("nothing compared the poses of the file with the clouds (--no-graph)",) if doubted else ())
+        return
+    with ExitStack() as stack:
+        path = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="heliograph_")))
+        kept = folder is not None
+        session = SlamSession(path, config, poses_given=given, kept=kept, antenna_imu=rig.antenna_imu)
+        stack.callback(session.store.close)  # also where the run begins anew, or ends in an error
+        yield session
 
 
 def mounted(

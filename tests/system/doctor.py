@@ -86,6 +86,13 @@ def imu_in_g(message: Any) -> Any:
     return message
 
 
+def accel_negated(message: Any) -> Any:
+    acceleration = message.linear_acceleration
+    for axis in "xyz":
+        setattr(acceleration, axis, -getattr(acceleration, axis))
+    return message
+
+
 def times_dropped(message: Any) -> Any:
     message.fields = [field for field in message.fields if field.name != "t"]
     return message

@@ -231,3 +231,15 @@ def test_a_fifth_of_empty_scans_is_survived_and_told(heliograph, recording, tmp_
     facts = run_doctored(heliograph, "empty")
     assert facts["status"] == "degraded" or codes(facts)
     error_in(heliograph, recording, 0.05)
+
+
+def test_a_negated_accelerometer_is_mended_said_and_left_where_asked(heliograph, tmp_path):
+    gait = {"frequency": 1.1, "bounce": 0.08, "lateral": 0.1, "roll_deg": 18.0, "pitch_deg": 14.0, "yaw_deg": 22.0}
+    waved = scenario(gait=gait).thinned(columns=180, duration=10.0)
+    sound = write_recording(tmp_path / "waved", waved, seed=2).folder
+    doctor.rewrite(sound, tmp_path / "negated", doctor.on_imu(doctor.accel_negated))
+    facts = run_doctored(heliograph, "negated")
+    assert facts["status"] == "ok" and "repaired-accel-axes" in codes(facts)
+    error_in(heliograph, sound, 0.03)
+    shutil.rmtree(tmp_path / "out")
+    assert run_doctored(heliograph, "negated", "--no-repair")["status"] != "ok"
