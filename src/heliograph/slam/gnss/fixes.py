@@ -244,8 +244,8 @@ class GnssFactors:
         compared = int(judgement.placement.covered.sum())
         if used < max(_FEWEST, _AGREEING * compared):
             return (
-                f"{used} of {compared} fixes agree with each other and with the odometry, {compared - used} do not: "
-                "with so large a minority the majority may be the wrong one"
+                f"{used} of {compared} fixes agree with each other and with the odometry, {compared - used} do not "
+                f"({_AGREEING:.0%} must): check the receiver, its datum, and that file and recording are of one drive"
             )
         if sigma > allowed:
             p = chain.T_odom_imu[:, :2, 3]
