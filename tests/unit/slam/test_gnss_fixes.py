@@ -68,7 +68,7 @@ def test_majority_that_is_wrong_places_nothing():
     world = survey("survey-campus", 21, gnss={"spells": spells}, duration=45.0)
     fixes, smoother = georeferenced(world)
     assert not fixes.in_use
-    assert "minority" in fixes.account(smoother, world.chain.T_odom_imu).reason
+    assert "do not (75% must)" in fixes.account(smoother, world.chain.T_odom_imu).reason
 
 
 def test_what_all_fixes_speak_against_is_withdrawn():
