@@ -136,5 +136,6 @@ void check_forged_tree() {
       }
     }
   }
-  CHECK(refused > 1000 && used > 500);
+  // Most words of a save are numbers that may be anything: both ways out are walked often, or the forger has missed its aim.
+  CHECK(refused > 300 && used > 3000);
 }
