@@ -1,12 +1,17 @@
-"""``python -m tests.fuzz``: spoil and read for a while; every fault is told with the words that repeat it."""
+"""``python -m tests.fuzz``: spoil and read for a while; every fault is told with the words that repeat it.
+
+A process that has imported everything and read every sound seed forks a child for each case.
+"""
 
 from __future__ import annotations
 
 import argparse
 import os
+import random
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
 from multiprocessing import get_context
 from multiprocessing.queues import SimpleQueue
@@ -17,7 +22,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from tests.fuzz.runner import Outcome, choose, run_case
 from tests.fuzz.seeds import make_seeds
-from tests.fuzz.targets import TARGETS, Target
+from tests.fuzz.targets import TARGETS, place
+from tests.fuzz.warm import warm_up
 
 
 def _arguments() -> argparse.Namespace:
@@ -25,27 +31,37 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--cases", type=int, default=1_000_000, help="how many at most")
     parser.add_argument("--seconds", type=float, default=120.0, help="how long; 0: until all cases are done")
     parser.add_argument("--seed", type=int, default=1, help="of chance")
-    parser.add_argument("--jobs", type=int, default=2, help="children at once")
+    parser.add_argument("--jobs", type=int, default=1, help="children at once")
     parser.add_argument("--only", default="", help="a part of the targets' names")
     parser.add_argument("--case", type=int, default=None, help="this case alone, with all that it said")
+    parser.add_argument("--keep", type=Path, default=None, metavar="DIR", help="with --case: leave its file there")
     return parser.parse_args()
 
 
 def _work(
-    todo: tuple[int, int, int, float], targets: list[Target], seeds: Path, results: SimpleQueue[Outcome | None]
+    step: tuple[int, int], options: argparse.Namespace, seeds: Path, results: SimpleQueue[Outcome | None]
 ) -> None:
-    first, step, cases, end = todo[0], todo[1], todo[2], todo[3]
-    for case in choose(targets, cases, _arguments().seed, first, step):
-        if time.monotonic() > end:
-            break
-        results.put(run_case(case, seeds))
-    results.put(None)
+    """Run every n-th case; the time counts from when all is warm."""
+    first, jobs = step
+    targets = [target for target in TARGETS if options.only in target.name]
+    try:
+        for number, line in enumerate(warm_up(targets, seeds)):
+            results.put(Outcome(-1 - number, "a seed", line, "", 0.0, 0.0, False))
+        end = time.monotonic() + (options.seconds or 1e9)
+        for case in choose(targets, options.cases, options.seed, first, jobs):
+            if time.monotonic() > end:
+                break
+            results.put(run_case(case, seeds))
+    except Exception as error:
+        traceback.print_exc()
+        results.put(Outcome(-1, "the fuzzer", f"failed itself: {error}", "", 0.0, 0.0, False))
+    finally:
+        results.put(None)
 
 
 def main() -> int:
     """Return 0 where no case had a fault."""
     options = _arguments()
-    targets = [target for target in TARGETS if options.only in target.name]
     with tempfile.TemporaryDirectory(prefix="fuzz-seeds-") as folder:
         seeds = Path(folder)
         # In a child: threads that a library starts here would be missing in all others, which would wait for them.
@@ -56,14 +72,16 @@ def main() -> int:
             return 1
         os.environ["FUZZ_SEEDS"] = str(seeds)
         if options.case is not None:
+            targets = [target for target in TARGETS if options.only in target.name]
             *_, case = choose(targets, options.case + 1, options.seed, options.case)
+            if options.keep:
+                place(case.target, seeds, options.keep, random.Random(case.seed + "/spoil"))
             _tell(run_case(case, seeds), options)
             return 0
-        end = time.monotonic() + (options.seconds or 1e9)
         context = get_context("fork")
         results: SimpleQueue[Outcome | None] = context.SimpleQueue()
         workers = [
-            context.Process(target=_work, args=((k, options.jobs, options.cases, end), targets, seeds, results))
+            context.Process(target=_work, args=((k, options.jobs), options, seeds, results))
             for k in range(options.jobs)
         ]
         for worker in workers:
@@ -75,7 +93,7 @@ def main() -> int:
 
 
 def _gather(results: SimpleQueue[Outcome | None], running: int, options: argparse.Namespace) -> int:
-    done, taken, worst, peak = 0, 0, 0.0, 0.0
+    done, taken, worst, peak, spent = 0, 0, 0.0, 0.0, 0.0
     faults: Counter[str] = Counter()
     while running:
         outcome = results.get()
@@ -84,13 +102,17 @@ def _gather(results: SimpleQueue[Outcome | None], running: int, options: argpars
             continue
         done, taken = done + 1, taken + outcome.taken
         worst, peak = max(worst, outcome.seconds), max(peak, outcome.megabytes)
+        spent += outcome.seconds
+        if done % 1000 == 0:
+            print(f"{done} cases, {sum(faults.values())} faults", flush=True)
         if outcome.fault:
             faults[outcome.name] += 1
             _tell(outcome, options)
     total = sum(faults.values())
     print(
-        f"{done} cases of seed {options.seed}: {taken} read, {done - taken - total} refused, {total} faults; the "
-        f"slowest took {worst:.1f} s of processor time, the largest {peak:.0f} MB"
+        f"{done} cases of seed {options.seed}: {taken} read, {done - taken - total} refused, {total} faults; "
+        f"{1e3 * spent / max(done, 1):.0f} ms of processor time a case, the slowest took {worst:.1f} s, the largest "
+        f"{peak:.0f} MB"
     )
     for name, count in faults.most_common():
         print(f"  {count} in {name}")

@@ -10,7 +10,7 @@ import struct
 import zipfile
 from pathlib import Path
 
-__all__ = ["in_archive", "in_database", "in_messages", "in_text", "in_tree", "of_bytes"]
+__all__ = ["change", "in_archive", "in_database", "in_messages", "in_text", "in_tree", "of_bytes"]
 
 WORDS = (0, 1, 2, 0x7F, 0x80, 0xFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1_000_000, 100_000)
 LONG_WORDS = (*WORDS, 2**63 - 1, 2**63, 2**64 - 1, 10**18, 2**62, 2**53)
@@ -154,21 +154,23 @@ def _json_member(content: bytes, rng: random.Random) -> bytes:
         tree = json.loads(content[start:])
     except ValueError:
         return of_bytes(content, rng)
-    _change(tree, rng)
+    change(tree, rng)
     text = json.dumps(tree).encode()
     header = content[:start].replace(str(len(content) - start).encode(), str(len(text)).encode(), 1)
     return header[: len(content[:start])].ljust(start, b" ") + text
 
 
-def _change(tree: object, rng: random.Random) -> None:
-    """Put something else for one value of a nested structure."""
+def change(tree: object, rng: random.Random) -> object:
+    """Put something else for one value of a nested structure, and return it."""
+    whole = tree
     values = (None, -1, 0, 1, 10**9, 2**63, 1e308, "", "x", [], {}, True, [[1]], "Vector(3)", 10**400)
     while isinstance(tree, (dict, list)) and tree:
         key = rng.choice(sorted(tree)) if isinstance(tree, dict) else rng.randrange(len(tree))
         if not isinstance(tree[key], (dict, list)) or not tree[key] or rng.random() < 0.2:
             tree[key] = rng.choice(values)
-            return
+            break
         tree = tree[key]
+    return whole
 
 
 def in_tree(data: bytes, rng: random.Random) -> bytes:

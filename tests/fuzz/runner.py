@@ -1,4 +1,4 @@
-"""Each case in a child with limits: what it was, what became of it, and what it cost."""
+"""Each case in a child of a warm process, with limits: what it was, what became of it, and what it cost."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import io
 import os
 import random
 import resource
+import select
 import shutil
 import signal
 import sys
@@ -23,10 +24,12 @@ __all__ = ["Case", "Outcome", "choose", "run_case"]
 
 MAX_SECONDS = 5.0  # of processor time
 MAX_BYTES = 1_000_000_000  # of resident memory
-_HARD_SECONDS, _HARD_BYTES = 12, 4_000_000_000  # beyond, the child is ended
-_MAX_WALL = 120.0
+_GRACE = 200_000_000  # bytes above, at which the child is ended
+_MAX_WALL = 60.0  # a child that waits for ever takes no processor time
 _MAX_LINE = 2_000
+_ON_TERMINAL = "\x7f\u061c\u200e\u200f\u2028\u2029\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 TAKEN, REFUSED, FOREIGN, SPOKE = 0, 2, 3, 4
+_MEMORY = Path("/dev/shm")
 
 
 @dataclass(frozen=True)
@@ -60,56 +63,68 @@ def choose(targets: Sequence[Target], cases: int, seed: int, first: int = 0, ste
 
 
 def run_case(case: Case, seeds: Path) -> Outcome:
-    """Run one case in a child of its own."""
-    folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
+    """Run one case in a child of its own; the file is spoilt there as well."""
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=_MEMORY if _MEMORY.is_dir() else None))
+    temporary, report = folder / "tmp", folder / "report.txt"
+    temporary.mkdir()
+    listening, held = os.pipe()
     try:
-        temporary = folder / "tmp"
-        temporary.mkdir()
-        path = place(case.target, seeds, folder, random.Random(case.seed + "/spoil"))
-        return _in_child(case, path, folder, temporary)
+        child = os.fork()
+        if child == 0:
+            os.close(listening)
+            os._exit(_child(case, seeds, folder, temporary, report))
+        os.close(held)
+        kept = _watch(child, listening)
+        _, status, usage = os.wait4(child, 0)
+        detail = report.read_text(errors="replace") if report.is_file() else ""
+        left = next((path.name for path in temporary.iterdir()), "")
     finally:
+        os.close(listening)
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _in_child(case: Case, path: Path, folder: Path, temporary: Path) -> Outcome:
-    report = folder / "report.txt"
-    child = os.fork()
-    if child == 0:
-        os._exit(_child(case, path, temporary, report))
-    status, usage = _wait(child)
     seconds, megabytes = usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1e3
-    detail = report.read_text(errors="replace") if report.is_file() else ""
     code = os.waitstatus_to_exitcode(status)
-    fault = ""
-    if code < 0:
-        fault = f"ended by {signal.Signals(-code).name}"
-    elif code not in (TAKEN, REFUSED):
-        fault = "a word that must not reach a terminal" if code == SPOKE else "an exception that is not ours"
-    elif seconds > MAX_SECONDS:
-        fault = f"took {seconds:.1f} s"
-    elif megabytes * 1e6 > MAX_BYTES:
-        fault = f"took {megabytes:.0f} MB"
-    elif any(temporary.iterdir()):
-        fault = f"left {next(temporary.iterdir()).name} in TMPDIR"
+    fault = kept or _fault(code, seconds, megabytes, left)
     return Outcome(case.number, case.target.name, fault, detail, seconds, megabytes, code == TAKEN)
 
 
-def _wait(child: int) -> tuple[int, resource.struct_rusage]:
-    end = time.monotonic() + _MAX_WALL
-    while True:
-        pid, status, usage = os.wait4(child, os.WNOHANG)
-        if pid:
-            return status, usage
+def _fault(code: int, seconds: float, megabytes: float, left: str) -> str:
+    if seconds > MAX_SECONDS:
+        return f"took {seconds:.1f} s"
+    if megabytes * 1e6 > MAX_BYTES:
+        return f"took {megabytes:.0f} MB"
+    if code < 0:
+        return f"ended by {signal.Signals(-code).name}"
+    if code not in (TAKEN, REFUSED):
+        return "a word that must not reach a terminal" if code == SPOKE else "an exception that is not ours"
+    return f"left {left} in TMPDIR" if left else ""
+
+
+def _watch(child: int, listening: int) -> str:
+    """Return when a child has ended, or ended it: it holds the other end of a pipe."""
+    statm, page = Path(f"/proc/{child}/statm"), resource.getpagesize()
+    poll, end, fault = select.poll(), time.monotonic() + _MAX_WALL, ""
+    poll.register(listening, select.POLLIN)
+    while not poll.poll(30):
+        with contextlib.suppress(OSError, IndexError):  # gone by now, or no Linux
+            if int(statm.read_text().split()[1]) * page > MAX_BYTES + _GRACE:
+                fault = f"took over {(MAX_BYTES + _GRACE) / 1e6:.0f} MB"
         if time.monotonic() > end:
+            fault = f"did not end in {_MAX_WALL:.0f} s"
+        if fault:
             os.kill(child, signal.SIGKILL)
-            end += 1e9
-        time.sleep(0.002)
+            return fault
+    return ""
 
 
-def _child(case: Case, path: Path, temporary: Path, report: Path) -> int:
-    resource.setrlimit(resource.RLIMIT_CPU, (_HARD_SECONDS, _HARD_SECONDS + 1))
-    held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (held + _HARD_BYTES, held + _HARD_BYTES))
+def _child(case: Case, seeds: Path, folder: Path, temporary: Path, report: Path) -> int:
+    before = time.process_time()
+    try:
+        path = place(case.target, seeds, folder, random.Random(case.seed + "/spoil"))
+    except BaseException:
+        report.write_text("the spoiling itself failed\n" + traceback.format_exc())
+        return FOREIGN
+    most = int(MAX_SECONDS + time.process_time() - before) + 2
+    resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.environ["TMPDIR"] = str(temporary)
     tempfile.tempdir = None
@@ -123,14 +138,21 @@ def _child(case: Case, path: Path, temporary: Path, report: Path) -> int:
         report.write_text(traceback.format_exc() + "\n" + text[-4000:], errors="replace")
         return FOREIGN
     raw = said.buffer.getvalue().decode(errors="replace")  # type: ignore[attr-defined]
-    bad = [
-        c for c in raw if (ord(c) < 32 and c not in "\n\r\t") or c in "\x7f\u202a\u202b\u202d\u202e\u2066\u2067\u2068"
-    ]
-    longest = max((line for line in raw.splitlines() if not line.startswith(("{", "["))), key=len, default="")
-    if bad or len(longest) > _MAX_LINE:
-        report.write_text(f"{bad[:3]!r} in, or {len(longest)} characters: {longest[:300]!r}")
+    if not taken:
+        report.write_text(raw[-4000:], errors="replace")
+    if word := _unspeakable(raw):
+        report.write_text(word, errors="replace")
         return SPOKE
     return TAKEN if taken else REFUSED
+
+
+def _unspeakable(raw: str) -> str:
+    """Return what must not reach a terminal of what was said."""
+    bad = [c for c in raw if (ord(c) < 32 and c not in "\n\r\t") or 0x80 <= ord(c) < 0xA0 or c in _ON_TERMINAL]
+    longest = max((line for line in raw.split("\n") if not line.startswith(("{", "["))), key=len, default="")
+    if not bad and len(longest) <= _MAX_LINE:
+        return ""
+    return f"{bad[:3]!r} in, or {len(longest)} characters: {longest[:300]!r}"
 
 
 class _Console(io.TextIOWrapper):

@@ -45,7 +45,12 @@ def make_seeds(folder: Path) -> Path:
     _tables(folder)
     _graphs(folder)
     _smoothers(folder)
-    assert main(["run", str(folder / "ouster.mcap"), "-o", str(folder / "run"), "-q", "--threads", "1"]) == 0
+    settings = ("slam.keyframe_distance=0.03", "output.keyframe_distance=0.05", "output.keep_submaps=true")
+    words = [word for setting in settings for word in ("--set", setting)]
+    assert main(["run", str(folder / "ouster.mcap"), "-o", str(folder / "run"), "-q", "--threads", "1", *words]) == 0
+    assert main(["loops", str(folder / "run"), "--add", "0", "2"]) == 0
+    for name in ("report.html", "map.png"):  # large, and read by nobody
+        (folder / "run" / name).unlink()
     return folder
 
 
@@ -114,6 +119,25 @@ def _clouds(folder: Path) -> None:
         write_cloud(clouds / f"{k:04d}.pcd", points, intensity)
     (clouds / "times.txt").write_text("".join(f"{1_700_000_000 + k / 10:.3f}\n" for k in range(4)))
     _kitti(folder / "kitti", points, intensity)
+    (folder / "velodyne.pcap").write_bytes(_velodyne())
+
+
+def _velodyne(packets: int = 160) -> bytes:
+    """Return a capture of a VLP-16 at ten turns a second: twelve blocks of two firings a packet."""
+    capture, azimuth = [struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)], 0
+    for number in range(packets):
+        blocks = b""
+        for _ in range(12):
+            returns = b"".join(struct.pack("<HB", 2000 + azimuth % 700 + 10 * laser, laser) for laser in range(32))
+            blocks += b"\xff\xee" + struct.pack("<H", azimuth) + returns
+            azimuth = (azimuth + 40) % 36_000
+        payload = blocks + struct.pack("<I", 1_000_000 + 1_327 * number) + b"\x37\x22"
+        udp = struct.pack(">HHHH", 2368, 2368, len(payload) + 8, 0) + payload
+        ip = struct.pack(">BBHHHBBHII", 0x45, 0, 20 + len(udp), 1, 0, 64, 17, 0, 1, 2)
+        frame = bytes(12) + b"\x08\x00" + ip + udp
+        received_us = 1_327 * number
+        capture.append(struct.pack("<IIII", 1_700_000_000, received_us, len(frame), len(frame)) + frame)
+    return b"".join(capture)
 
 
 def _kitti(folder: Path, points: np.ndarray, intensity: np.ndarray) -> None:
@@ -134,12 +158,47 @@ def _tables(folder: Path) -> None:
     rng = np.random.default_rng(1)
     rows = [f"{T0 + 5_000_000 * k},{','.join(f'{v:.5f}' for v in rng.normal(size=6))}" for k in range(300)]
     (folder / "imu.csv").write_text("time_ns,gyro_x,gyro_y,gyro_z,accel_x,accel_y,accel_z\n" + "\n".join(rows) + "\n")
-    (folder / "poses.kitti").write_text("".join(f"1 0 0 {k} 0 1 0 0 0 0 1 0\n" for k in range(30)))
+    turns = "".join(f"1 0 0 {k} 0 1 0 {k * k / 30} 0 0 1 {k % 3}\n" for k in range(30))
+    (folder / "poses.kitti").write_text(turns)
+    _positions(folder)
+    (folder / "params.yaml").write_text(
+        "common:\n  lid_topic: /points\n  time_offset_lidar_to_imu: 0.01\nmapping:\n  extrinsic_T: [0.1, 0.2, 0.3]\n"
+        "  extrinsic_R: [1, 0, 0,\n                0, 1, 0,\n                0, 0, 1]\n"
+    )
     (folder / "extrinsic.toml").write_text(
         "[T_imu_lidar]\ntranslation = [0.1, 0.0, 0.05]\nquaternion_xyzw = [0.0, 0.0, 0.0, 1.0]\n"
         "[clock]\noffset = 0.001\ndrift_ppm = 1.0\nreference_ns = 1700000000000000000\n"
     )
     (folder / "config.toml").write_text('sensors = "auto"\nthreads = 1\n[input]\nstart = 0.1\n[map]\nvoxel = 0.5\n')
+
+
+def _positions(folder: Path) -> None:
+    """Fixes of every kind, speeds, and points to be tied to."""
+    rows = [f"{1_700_000_000 + k / 5:.2f},48.1{k:04d},11.6,520.{k:02d},1.0,1.0,2.0,fix" for k in range(30)]
+    head = "stamp,latitude,longitude,height,sigma_east,sigma_north,sigma_up,solution\n"
+    (folder / "fixes.csv").write_text(head + "\n".join(rows) + "\n")
+    sentences = [f"GPGGA,1200{k:02d}.00,4806.{k:04d},N,01136.0000,E,4,12,0.8,520.0,M,47.0,M,," for k in range(30)]
+    sentences.insert(0, "GPRMC,120000.00,A,4806.0000,N,01136.0000,E,0.0,0.0,141123,,")
+    sentences.append("GPGST,120029.00,1.0,0.5,0.5,0.0,0.02,0.02,0.04")
+    (folder / "fixes.nmea").write_text("".join(f"${line}*{_parity(line):02X}\r\n" for line in sentences))
+    head = "%  GPST                  latitude(deg) longitude(deg)  height(m)   Q  ns   sdn(m)   sde(m)   sdu(m)\n"
+    rows = [
+        f"2023/11/14 12:00:{k:02d}.000   48.1{k:04d}   11.6000   520.0   1  12   0.01   0.01   0.02" for k in range(30)
+    ]
+    (folder / "fixes.pos").write_text(head + "\n".join(rows) + "\n")
+    rows = [f"{1_700_000_000 + k / 50:.3f},{k / 100},0.0,0.0" for k in range(60)]
+    (folder / "wheels.csv").write_text("stamp,vx,vy,vz\n" + "\n".join(rows) + "\n")
+    (folder / "control.csv").write_text(
+        "id,easting,northing,height,map_x,map_y,map_z,sigma,role\nA,0,0,0,0.1,0,0,0.02,control\n"
+        "B,1,0,0,1,0.1,0,0.02,control\nC,,,,0,1,0,,check\n"
+    )
+
+
+def _parity(sentence: str) -> int:
+    value = 0
+    for letter in sentence.encode():
+        value ^= letter
+    return value
 
 
 def _graphs(folder: Path) -> None:

@@ -18,6 +18,8 @@ from heliograph.arrays import Array, Stamps
 from heliograph.atomic import output_errors
 from heliograph.data import ImuBatch, Keyframe
 from heliograph.errors import DataError, FormatError
+from heliograph.guard.limits import MAX_NS
+from heliograph.guard.npz import read_npz
 
 __all__ = ["KeyframeStore"]
 
@@ -217,7 +219,7 @@ def _json(line: bytes) -> object:
 
 
 def _whole_entries(path: Path, lines: list[bytes]) -> Iterator[_Entry]:
-    last = -(1 << 63)
+    last = -MAX_NS
     for index, line in enumerate(lines):
         found = _json(line)
         names = [f.name for f in fields(_Entry)]
@@ -228,9 +230,9 @@ def _whole_entries(path: Path, lines: list[bytes]) -> Iterator[_Entry]:
         if not all(type(number) is int for number in numbers) or entry.file != f"{index:06d}.npz":
             return
         file = path / entry.file
-        if entry.index != index or entry.stamp_ns <= last or not file.is_file() or file.stat().st_size != entry.size:
+        if entry.index != index or not last < entry.stamp_ns < MAX_NS or entry.size > _LARGEST:
             return
-        if entry.size > _LARGEST:
+        if not file.is_file() or file.stat().st_size != entry.size:
             return
         last = entry.stamp_ns
         yield entry
@@ -261,24 +263,24 @@ def _packed(keyframe: Keyframe) -> bytes:
 
 def _unpacked(file: Path, content: bytes) -> Keyframe:
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            index, stamp_ns, received_ns = arrays["integers"].tolist()
-            samples = arrays["imu_samples"]
-            imu = ImuBatch(
-                stamps_ns=arrays["imu_stamps_ns"],
-                gyro=np.ascontiguousarray(samples[:, :3]),
-                accel=np.ascontiguousarray(samples[:, 3:]),
-                received_ns=received_ns,
-                frame_id=str(arrays["imu_frame_id"]),
-            )
-            parts = np.split(arrays["numbers"], np.cumsum([math.prod(shape) for shape in _NUMBERS.values()])[:-1])
-            return Keyframe(
-                index=index,
-                stamp_ns=stamp_ns,
-                **{name: part.reshape(_NUMBERS[name]) for name, part in zip(_NUMBERS, parts, strict=True)},
-                points_imu=arrays["points_imu"],
-                intensity=arrays["intensity"] if "intensity" in arrays.files else None,
-                imu=imu,
-            )
+        arrays = read_npz(io.BytesIO(content))
+        index, stamp_ns, received_ns = arrays["integers"].tolist()
+        samples = arrays["imu_samples"]
+        imu = ImuBatch(
+            stamps_ns=arrays["imu_stamps_ns"],
+            gyro=np.ascontiguousarray(samples[:, :3]),
+            accel=np.ascontiguousarray(samples[:, 3:]),
+            received_ns=received_ns,
+            frame_id=str(arrays["imu_frame_id"]),
+        )
+        parts = np.split(arrays["numbers"], np.cumsum([math.prod(shape) for shape in _NUMBERS.values()])[:-1])
+        return Keyframe(
+            index=index,
+            stamp_ns=stamp_ns,
+            **{name: part.reshape(_NUMBERS[name]) for name, part in zip(_NUMBERS, parts, strict=True)},
+            points_imu=arrays["points_imu"],
+            intensity=arrays.get("intensity"),
+            imu=imu,
+        )
     except (KeyError, ValueError, TypeError, IndexError, DataError) as error:
         raise FormatError(file, f"is no keyframe ({error}); the store is damaged") from error

@@ -284,11 +284,13 @@ def test_a_velodyne_packet_of_an_unknown_model_costs_itself():
     good = bytearray(PACKET_SIZE)
     for block in range(12):
         good[100 * block : 100 * block + 2] = b"\xff\xee"
+        good[100 * block + 4 : 100 * block + 100 : 3] = bytes([9]) * 32
     good[-2:] = b"\x37\x22"
     bad = bytes(good[:-1]) + b"\xa3"
-    for data in (bytes(good), bad, bytes(good)):
-        decoder.feed(data, T0)
-    assert decoder.bad_packets == 1
+    found = [cloud for data in (bad, good, good, bad, good) for cloud in decoder.feed(bytes(data), T0)]
+    found += decoder.finish()
+    assert decoder.bad_packets == 2
+    assert sum(len(cloud.columns["x"]) for cloud in found) > 0
 
 
 def test_more_topics_than_any_recording_has_are_refused(tmp_path):

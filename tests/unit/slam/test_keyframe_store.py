@@ -1,6 +1,7 @@
 """The keyframe store: what was appended is read back to the bit, and whatever was cut off costs the last ones only."""
 
 import json
+import zlib
 
 import numpy as np
 import pytest
@@ -122,6 +123,20 @@ def test_keyframe_file_that_was_changed_is_refused(tmp_path):
         KeyframeStore.open(tmp_path)[1]
 
 
+def test_keyframe_file_that_unpacks_to_more_than_it_weighs_is_refused(tmp_path):
+    filled(tmp_path)
+    file = tmp_path / "000001.npz"
+    with np.load(file) as archive:
+        arrays = {**archive, "points_imu": np.zeros((100_000, 3), np.float32)}
+    np.savez_compressed(file, **arrays)
+    content, journal = file.read_bytes(), tmp_path / "journal.jsonl"
+    lines = journal.read_text().splitlines()
+    lines[2] = json.dumps({**json.loads(lines[2]), "size": len(content), "crc32": zlib.crc32(content)})
+    journal.write_text("\n".join(lines) + "\n")
+    with pytest.raises(FormatError, match=r"000001.npz.*more than the file holds"):
+        KeyframeStore.open(tmp_path)[1]
+
+
 @pytest.mark.parametrize(
     "head",
     [
@@ -141,7 +156,15 @@ def test_journal_that_is_none_is_refused(tmp_path, head):
 
 @pytest.mark.parametrize(
     "change",
-    [{"index": "1"}, {"size": 10**18}, {"file": "../../etc/passwd"}, {"crc32": None}, {"stamp_ns": 0}, {"more": 1}],
+    [
+        {"index": "1"},
+        {"size": 10**18},
+        {"file": "../../etc/passwd"},
+        {"crc32": None},
+        {"stamp_ns": 0},
+        {"stamp_ns": 10**30},
+        {"more": 1},
+    ],
 )
 def test_journal_line_with_nonsense_ends_the_store(tmp_path, change):
     filled(tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ __all__ = ["PACKET_SIZE", "VelodyneDecoder", "velodyne_decoder"]
 
 PACKET_SIZE = 1206
 LIDAR_FRAME = "velodyne"
+_MOST_WAITING = 100  # packets that never agree are noise
 _NS = 1_000_000_000
 
 
@@ -56,6 +58,7 @@ class VelodyneDecoder:
     ) -> None:
         module = velodyne_decoder()
         config = module.Config(timestamp_first_packet=True)
+        self.bad_packets, self.why_bad = 0, ""
         if calibration_from is not None:
             try:
                 config.model, config.calibration = module.hdl64e.detect_hdl64e(calibration_from)
@@ -68,7 +71,9 @@ class VelodyneDecoder:
         self._stream = module.StreamDecoder(config)
         self._topic, self._frame_id, self._device_clock = topic, frame_id, device_clock
         self._received_ns = 0
-        self.bad_packets, self.why_bad = 0, ""
+        self._told = config.model is not None  # an HDL-64E's last byte is a status, not its model
+        self._model: int | None = None
+        self._waiting: list[tuple[float, bytes]] = []
 
     def feed(self, data: memoryview | bytes, received_ns: int, stamp_ns: int | None = None) -> list[RawMessage]:
         """Take one datagram and return the sweep that it completes; one that holds no points gives nothing.
@@ -86,21 +91,44 @@ class VelodyneDecoder:
             return []
         self._received_ns = received_ns
         stamp = (received_ns if stamp_ns is None else stamp_ns) / _NS
-        try:
-            return self._clouds(self._stream.decode(stamp, bytes(data), True))
-        except (
-            RuntimeError,
-            ValueError,
-            TypeError,
-            IndexError,
-        ) as error:  # one bad packet is no reason to lose the others
-            self.bad_packets += 1
-            self.why_bad = reason("cannot be decoded", error)
-            return []
+        return [cloud for packet in self._admitted(stamp, bytes(data)) for cloud in self._decoded(*packet)]
 
     def finish(self) -> list[RawMessage]:
         """Return the sweep collected so far."""
-        return self._clouds(self._stream.finish(True))
+        clouds = [cloud for packet in self._waiting for cloud in self._decoded(*packet)]
+        self._waiting = []
+        return clouds + self._safely(lambda: self._stream.finish(True))
+
+    def _admitted(self, stamp: float, data: bytes) -> list[tuple[float, bytes]]:
+        """Return the packets that are to be decoded now.
+
+        The decoder drops a whole sweep for one packet of another model than the first. So the first two in a row that
+        agree say which model it is, and one that says another is left out before it does harm.
+        """
+        if self._told:
+            return [(stamp, data)]
+        packets = [*self._waiting, (stamp, data)]
+        if self._model is None and (len(packets) == 1 or packets[-2][1][-1] != data[-1]):
+            self._waiting = packets[-_MOST_WAITING:]
+            return []
+        self._waiting, self._model = [], data[-1] if self._model is None else self._model
+        admitted = [packet for packet in packets if packet[1][-1] == self._model]
+        if len(admitted) < len(packets):
+            self.bad_packets += len(packets) - len(admitted)
+            self.why_bad = "are of another model than the rest"
+        return admitted
+
+    def _decoded(self, stamp: float, data: bytes) -> list[RawMessage]:
+        return self._safely(lambda: self._stream.decode(stamp, data, True))
+
+    def _safely(self, decode: Callable[[], tuple[Any, Any] | None]) -> list[RawMessage]:
+        """Return what the decoder gives; one bad packet is no reason to lose all others."""
+        try:
+            return self._clouds(decode())
+        except (RuntimeError, ValueError, TypeError, IndexError, OverflowError) as error:
+            self.bad_packets += 1
+            self.why_bad = reason("cannot be decoded", error)
+            return []
 
     def _clouds(self, result: tuple[Any, Any] | None) -> list[RawMessage]:
         if result is None or len(result[1]) == 0:

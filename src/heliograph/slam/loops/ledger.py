@@ -59,7 +59,8 @@ class Ledger:
 
     def __getitem__(self, number: int) -> LedgerEntry:
         if not 0 <= number < len(self._entries):
-            raise DataError(f"there is no loop {number}; the ledger has 0 to {len(self._entries) - 1}")
+            held = f"0 to {len(self._entries) - 1}" if self._entries else "none"
+            raise DataError(f"there is no loop {number}; the ledger has {held}")
         return self._entries[number]
 
     def accepted(self) -> tuple[LedgerEntry, ...]:
