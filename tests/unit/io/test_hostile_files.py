@@ -284,7 +284,7 @@ def test_a_velodyne_packet_of_an_unknown_model_costs_itself():
     good = bytearray(PACKET_SIZE)
     for block in range(12):
         good[100 * block : 100 * block + 2] = b"\xff\xee"
-        good[100 * block + 4 : 100 * block + 100 : 3] = bytes([9]) * 32
+        good[100 * block + 5 : 100 * block + 100 : 3] = bytes([9]) * 32
     good[-2:] = b"\x37\x22"
     bad = bytes(good[:-1]) + b"\xa3"
     found = [cloud for data in (bad, good, good, bad, good) for cloud in decoder.feed(bytes(data), T0)]
