@@ -17,7 +17,7 @@ __all__ = ["PACKET_SIZE", "VelodyneDecoder", "velodyne_decoder"]
 
 PACKET_SIZE = 1206
 LIDAR_FRAME = "velodyne"
-_MOST_WAITING = 100  # packets that never agree are noise
+_MAX_WAITING = 100  # packets that never agree are noise
 _NS = 1_000_000_000
 
 
@@ -109,7 +109,7 @@ class VelodyneDecoder:
             return [(stamp, data)]
         packets = [*self._waiting, (stamp, data)]
         if self._model is None and (len(packets) == 1 or packets[-2][1][-1] != data[-1]):
-            self._waiting = packets[-_MOST_WAITING:]
+            self._waiting = packets[-_MAX_WAITING:]
             return []
         self._waiting, self._model = [], data[-1] if self._model is None else self._model
         admitted = [packet for packet in packets if packet[1][-1] == self._model]
