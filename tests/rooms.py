@@ -86,7 +86,7 @@ STOREYS: dict[str, dict[str, set[str]]] = {
         "raw": set(),
         "prefetch": set(),
         "tally": {"raw"},
-        "registry": {"raw"},
+        "registry": {"raw", "files"},
         "files": {"raw"},
         "packets": {"raw", "registry"},
         "bags": {"raw", "registry", "inference"},

@@ -147,8 +147,8 @@ def _windows(batch: ImuBatch, motion: CheckedMotion, span: int) -> NDArray[np.in
     steps = np.diff(batch.stamps_ns)
     longest = max(_MAX_GAP_S, 1.5 * period_s(batch))
     torn = np.concatenate([[0], np.cumsum(steps > longest * 1e9)])
-    index = np.clip(np.searchsorted(batch.stamps_ns, stamps), 0, len(batch) - 1)
-    inside = (stamps >= batch.stamps_ns[0]) & (stamps <= batch.stamps_ns[-1])
+    index = np.clip(np.searchsorted(batch.stamps_ns, stamps), 1, len(batch) - 1)
+    inside = (stamps >= batch.stamps_ns[0]) & (stamps <= batch.stamps_ns[-1]) & (steps[index - 1] <= longest * 1e9)
     lost = np.concatenate([[0], np.cumsum(~(motion.tracked & inside))])
     period = float(np.median(np.diff(stamps)))
     steady = stamps[span:] - stamps[:-span] < 1.5 * span * period

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from heliograph.errors import ConfigError, DataError, FormatError
 from heliograph.guard.boundary import outside
 from heliograph.guard.limits import ReadLimits
+from heliograph.io.files.foreign import foreign_format
 from heliograph.io.raw import RawMessage, RawSource, TopicInfo
 from heliograph.plugins import call_plugin, check_plugin, find_plugin, installed_plugins, plugin_names
 
@@ -173,6 +174,9 @@ def open_raw_source(paths: Sequence[Path], *, reader: str = "", limits: ReadLimi
         if source is not None:
             check_plugin("reader", name, source, RawSource)
             return source
+    foreign = "" if reader else foreign_format(paths[0])
+    if foreign:
+        raise FormatError(paths[0], f"not a recording but {foreign}")
     known = "ROS 1 or 2 bag, MCAP, pcap, KITTI folder, folder of PCD or PLY, IMU table"
     reason = (
         f"not a recording that the reader '{reader}' knows; leave --reader out to ask all"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -16,7 +17,8 @@ from heliograph.data import ImuBatch, NavState, OnlineCalibration, Scan, ScanRes
 from heliograph.data.error_layout import POSE
 from heliograph.imu import ImuPath
 from heliograph.maps import LocalMap, VoxelMap
-from heliograph.odometry.filter.calibrating import CalibrationTerms, calibration_of
+from heliograph.odometry.filter.calibrating import CalibrationTerms, FixedCalibration, calibration_of
+from heliograph.odometry.filter.drift import MapDrift
 from heliograph.odometry.filter.map_keeper import MapKeeper
 from heliograph.odometry.filter.matching import AdaptiveNoise, ScanMatcher, sweep_noise
 from heliograph.odometry.filter.measurement import ScanMeasurement
@@ -25,9 +27,22 @@ from heliograph.odometry.filter.relocking import Relocker
 from heliograph.odometry.filter.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.filter.update import FilterUpdate
 
-__all__ = ["FilterCore"]
+__all__ = ["CoreMark", "FilterCore"]
 
 S = TypeVar("S", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True)
+class CoreMark:
+    """Where a filter is, but for its map: state, path of the last sweep, scans processed, and what the keepers know."""
+
+    state: NavState
+    history: ImuPath | None
+    count: int
+    drift: MapDrift
+    calibration: FixedCalibration
+    relocker: Relocker
+
 
 # A correction smaller than this bends a sweep of 0.1 s by less than a millimetre, so its points need not be moved
 # again [m/s], [rad/s].
@@ -71,6 +86,9 @@ class FilterCore:
         self._sweep_noise: Array | None = None
         self._count = 0
         self._relocker = Relocker()
+        self._begins_anew = False
+        self.blindfolded = self.holds_map = False
+        """Whether scans are matched to nothing, and whether those that are matched leave the map as it is."""
 
     @property
     def noise(self) -> AdaptiveNoise:
@@ -81,6 +99,42 @@ class FilterCore:
     def calibration(self) -> OnlineCalibration | None:
         """Mounting and clock as they are estimated now, None where they are not estimated under a gate."""
         return self._calibration.account(self.state)
+
+    @property
+    def usual_share(self) -> float:
+        """Share of the points that usually match."""
+        return self._matcher.usual_share
+
+    @property
+    def seeking(self) -> bool:
+        """Whether the scans since the last match have found no place yet and are being sought."""
+        return self._relocker.seeking
+
+    def mark(self) -> CoreMark:
+        """Return what `restore` needs to come back to here, the map apart."""
+        kept = copy(self._keeper.drift), copy(self._calibration), copy(self._relocker)
+        return CoreMark(self.state, self._history, self._count, *kept)
+
+    def restore(self, mark: CoreMark) -> None:
+        """Come back to a mark, on the map as it is."""
+        self.state, self._history, self._count = mark.state, mark.history, mark.count
+        self._keeper.drift, self._calibration = copy(mark.drift), copy(mark.calibration)
+        self._relocker = copy(mark.relocker)
+
+    def begin_anew(self, mark: CoreMark, imu: ImuBatch, begin_ns: int, end_ns: int) -> None:
+        """Come back to a mark and begin a new map with the next scan, whose sweep begins at ``begin_ns``.
+
+        The samples up to ``end_ns`` tell which way is up, which the silence before may have lost.
+        """
+        self.restore(mark)
+        self.map.clear()
+        self.state, self._begins_anew = self._motion.levelled(mark.state, imu, begin_ns, end_ns), True
+
+    def step_back(self, imu: ImuBatch, begin_ns: int, count: int) -> None:
+        """Carry the state back to where the sweep of scan ``count`` began, which had no place when it came."""
+        self.state, back = self._motion.carried_back(self.state, imu, begin_ns)
+        self._keeper.updated(back)
+        self._history, self._count = None, count
 
     def process(self, scan: Scan, imu: ImuBatch) -> ScanResult:
         """Process one scan; the numbers are those of docs/theory/filter.md."""
@@ -94,22 +148,32 @@ class FilterCore:
         watch.lap("thin")
 
         fit = self._match(prior, path, scan, points[picked], offsets[picked])  # (3) to (7)
-        if self._relocker.told(prior, fit):
-            self._keeper.begin_anew(prior)
+        sought = self.seeking
+        if self._begins_anew:
+            self._relocker.begin(prior.stamp_ns)
+        if self._begins_anew or self._relocker.told(prior, fit):
+            prior, self._begins_anew = self._keeper.begin_anew(prior), False
         posterior = self._settled(fit.state) if fit is not None else _anchored(prior) if self._keeper.empty else prior
-        sweep, path = sweep_path(path, prior, posterior), corrected_path(path, posterior)  # (8)
+        if sought and fit is not None:  # the way there was lost; that through the sweep is known from its end
+            sweep = path = self._motion.way_back(posterior, imu, scan.stamp_ns)
+        else:
+            sweep, path = sweep_path(path, prior, posterior), corrected_path(path, posterior)  # (8)
         watch.lap("match")
 
         points_imu = self._deskew(points, offsets, scan, sweep)  # (3), now with the final motion
         watch.lap("deskew")
 
         seen = fit.measurement.pose_share() if fit is not None else None
-        if fit is not None or self._keeper.empty:
+        # A scan that was found again after a silence waits for others to bear it out: it enters no map.
+        if self._keeper.empty or (fit is not None and not (sought or self.holds_map)):
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
             # What did not settle ties no new ground to the frame; the next scan that does, ties it.
             tied = seen if fit is not None and (fit.converged or self._motion.inertial) else None
             posterior = self._keeper.extend(points_imu, pose, posterior, tied)  # (9)
         watch.lap("map")
+
+        if fit is not None or self._count == 0:
+            self._relocker.remember(points_imu, posterior.T_odom_imu)
 
         intensity = _taken(scan.intensity, keep) if scan.intensity is not None else None
         return self._conclude(ScanOutcome(scan, posterior, path, points_imu, intensity, fit, seen, len(picked)), watch)
@@ -140,7 +204,7 @@ class FilterCore:
         self, prior: NavState, path: ImuPath, scan: Scan, points: NDArray[np.float32], offsets: NDArray[np.int32]
     ) -> FilterUpdate[ScanMeasurement] | None:
         """Update with the picked points; None when too few of them match."""
-        if self._keeper.empty or len(points) < self._config.filter.min_matches:
+        if self._keeper.empty or self.blindfolded or len(points) < self._config.filter.min_matches:
             return None
         before_end = self._before_end(scan, offsets)
         predicted, terms = self._deskew(points, offsets, scan, path), self._calibration.terms(path)
@@ -150,7 +214,10 @@ class FilterCore:
                 return predicted
             return self._deskew(points, offsets, scan, sweep_path(path, prior, state))
 
-        fit = self._matcher.match(prior, self.map, points_at, before_end, terms, self._sweep_noise)
+        astray = self._matcher.usual_share > 0.0 and self._relocker.astray(prior, terms.map_pose_covariance(prior))
+        fit = None
+        if not astray:
+            fit = self._matcher.match(prior, self.map, points_at, before_end, terms, self._sweep_noise)
         if fit is None and (fit := self._place_again(prior, predicted, points_at, before_end, terms)) is None:
             return None
         self._calibration.learn(fit.measurement)

@@ -65,7 +65,8 @@ class MapKeeper(Generic[P]):
         self.map = local_map
         self.scans = 0
         """Scans inserted since the map was begun."""
-        self._drift = MapDrift(config.systematic)
+        self.drift = MapDrift(config.systematic)
+        """How far the map's frame may have drifted."""
         self._window = MapWindow(window)
         self._pruned_at = centre
 
@@ -99,13 +100,13 @@ class MapKeeper(Generic[P]):
         self.scans = 1 if self.empty else self.scans + 1
         share = self.map.insert(points_imu, pose)
         if seen is None:
-            self._drift.begin(share)
+            self.drift.begin(share)
         else:
             if not seen.share.all():
-                state = self._drift.hand_over(state, seen.blind())
+                state = self.drift.hand_over(state, seen.blind())
             # Matched with one match an axis; all of them tell a third of their number as much.
-            state = self._drift.grow(state, share, seen.covariance() * seen.matches / 3.0)
-        vouching = self._window.moved(state.p_odom, self._drift.walked)
+            state = self.drift.grow(state, share, seen.covariance() * seen.matches / 3.0)
+        vouching = self._window.moved(state.p_odom, self.drift.walked)
         if vouching is not None and isinstance(self.map, WindowedMap):
             self.map.forget_unseen(vouching)
         if float(np.linalg.norm(state.p_odom - self._pruned_at)) > _PRUNE_DISTANCE:
@@ -115,18 +116,23 @@ class MapKeeper(Generic[P]):
 
     def predicted(self, growth: ErrorGrowth) -> None:
         """Carry on what the map's frame has in common with the state over a prediction."""
-        self._drift.predicted(growth)
+        self.drift.predicted(growth)
 
     def updated(self, retained: Array) -> None:
         """Carry it on over an update that left ``retained`` (K, K) of the state's errors."""
-        self._drift.updated(retained)
+        self.drift.updated(retained)
 
-    def begin_anew(self, state: NavState) -> None:
-        """Forget the map; the next scan's pose ties the new one to the odom frame, with the error that it has now."""
-        self._drift.hand_over(state, np.eye(POSE_DIM))
+    def begin_anew(self, state: NavState) -> NavState:
+        """Forget the map; the next scan's pose ties the new one to the odom frame, with the error that it has now.
+
+        Returns the state in the new frame: its pose is exact, and what was uncertain about it is so about velocity and
+        gravity.
+        """
+        state = self.drift.hand_over(state, np.eye(POSE_DIM))
         self._window.begin()
         self.map.clear()
+        return state
 
     def pose_covariance(self, state: NavState) -> Array:
         """Return the covariance of rotation (body) and position (odom) against the odom frame's origin, (6, 6)."""
-        return self._drift.pose_covariance(state)
+        return self.drift.pose_covariance(state)

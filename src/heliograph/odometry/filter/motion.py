@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import Array
 from heliograph.config import FilterConfig, ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState
+from heliograph.data.error_layout import NAV, ROTATION
 from heliograph.imu import ImuPath, Prediction, predict
 from heliograph.lie import so3
 from heliograph.odometry.filter.unsteadiness import Unsteadiness
 
 __all__ = ["MotionModel", "corrected_path", "rate_change", "sweep_path"]
+
+_SPEED_CHANGE = 1.0  # of a body within seconds [m/s]
 
 
 class MotionModel:
@@ -52,6 +56,66 @@ class MotionModel:
         ahead = predict(state, imu, end_ns, noise=noise, config=self._config)
         # Without an IMU none of its samples is missing, however long the way from scan to scan.
         return ahead if self.inertial else replace(ahead, path=replace(ahead.path, held_s=0.0))
+
+    def way_back(self, state: NavState, imu: ImuBatch, begin_ns: int) -> ImuPath:
+        """Return the motion from an earlier instant to the one at which it ends in ``state``."""
+        return self.predict(self._begin_of(state, imu, begin_ns), imu, state.stamp_ns).path
+
+    def _begin_of(self, state: NavState, imu: ImuBatch, begin_ns: int) -> NavState:
+        """Return what the state must have been at an earlier instant to end in ``state``.
+
+        The motion between is integrated forwards from rest at the origin, to dR, dv, dp. Then ``R = R_1 dR^T``,
+        ``v = v_1 - g t - R dv`` and ``p = p_1 - v t - g t^2 / 2 - R dp``.
+        """
+        rest = replace(
+            state,
+            stamp_ns=begin_ns,
+            R_odom_imu=np.eye(3),
+            p_odom=np.zeros(3),
+            v_odom=np.zeros(3),
+            g_odom=np.zeros(3),
+            imu_offset=state.imu_offset - state.imu_drift * (state.stamp_ns - begin_ns) * 1e-9,
+        )
+        moved = self.predict(rest, imu, state.stamp_ns).state
+        seconds = (state.stamp_ns - begin_ns) * 1e-9
+        R = state.R_odom_imu @ moved.R_odom_imu.T
+        v = state.v_odom - state.g_odom * seconds - R @ moved.v_odom
+        p = state.p_odom - v * seconds - 0.5 * state.g_odom * seconds**2 - R @ moved.p_odom
+        return replace(rest, R_odom_imu=R, p_odom=p, v_odom=v, g_odom=state.g_odom)
+
+    def carried_back(self, state: NavState, imu: ImuBatch, begin_ns: int) -> tuple[NavState, Array]:
+        """Return the state at an earlier instant, and the derivative (K, K) of its errors by those of ``state``."""
+        begin = self._begin_of(state, imu, begin_ns)
+        growth = self.predict(begin, imu, state.stamp_ns).growth
+        back = np.eye(len(state.covariance))
+        back[NAV, NAV] = np.linalg.inv(growth.transition)
+        added = np.zeros_like(back)
+        added[NAV, NAV] = growth.added
+        covariance = back @ (state.covariance + added) @ back.T
+        return replace(begin, covariance=0.5 * (covariance + covariance.T)), back
+
+    def levelled(self, state: NavState, imu: ImuBatch, begin_ns: int, end_ns: int) -> NavState:
+        """Return the state carried on to ``begin_ns``, and turned so that the mean force until ``end_ns`` points up.
+
+        A body that neither falls nor flies away changes its speed by `_SPEED_CHANGE` meanwhile: so well is up known.
+        """
+        if not self.inertial or begin_ns <= state.stamp_ns:
+            return state
+        ahead = self.predict(state, imu, begin_ns).state
+        rest = replace(ahead, R_odom_imu=np.eye(3), p_odom=np.zeros(3), v_odom=np.zeros(3), g_odom=np.zeros(3))
+        force = ahead.R_odom_imu @ self.predict(rest, imu, end_ns).state.v_odom
+        up, size = -state.g_odom / np.linalg.norm(state.g_odom), float(np.linalg.norm(force))
+        if size == 0.0:
+            return ahead
+        axis = np.cross(force / size, up)
+        turn = np.arctan2(float(np.linalg.norm(axis)), float(force @ up) / size)
+        R = so3.exp(turn * axis / max(float(np.linalg.norm(axis)), 1e-12)) @ ahead.R_odom_imu
+        along, P = R.T @ up, ahead.covariance.copy()
+        about = float(along @ P[ROTATION, ROTATION] @ along)
+        P[ROTATION, :], P[:, ROTATION] = 0.0, 0.0
+        tilt = (_SPEED_CHANGE / size) ** 2
+        P[ROTATION, ROTATION] = tilt * np.eye(3) + (about - tilt) * np.outer(along, along)
+        return replace(ahead, R_odom_imu=R, covariance=P)
 
     def settled(
         self, prior: NavState, posterior: NavState, *, converged: bool, seconds: float, sweep: float

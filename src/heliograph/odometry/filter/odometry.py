@@ -15,6 +15,7 @@ from heliograph.lie import so3
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.calibrating import uncertain_rig, with_calibration
 from heliograph.odometry.filter.core import FilterCore
+from heliograph.odometry.filter.interlude import Interlude
 from heliograph.odometry.filter.motion import MotionModel
 from heliograph.odometry.filter.start import FirstLook, find_start, look
 from heliograph.odometry.sequencer import Packet, Sequencer
@@ -82,6 +83,7 @@ class FilterOdometry:
         self._waiting: list[Packet] = []
         self._first: FirstLook | None = None
         self._ended = False
+        self._interlude = Interlude(self._sequencer.imu)
         self._around_ns = int(1e9 * HALF_WINDOW) if config.filter.estimate_time_offset else 0
 
     def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
@@ -90,7 +92,7 @@ class FilterOdometry:
 
     def finish(self) -> list[ScanResult]:
         """Return the results still waiting."""
-        results = self._advance(self._sequencer.finish(), ended=True)
+        results = [*self._advance(self._sequencer.finish(), ended=True), *self._interlude.ended(self.core, self._step)]
         if not self._ended:
             self._ended = True
             self.events += [*self._doubts(), *self._calibrated()]
@@ -146,8 +148,8 @@ class FilterOdometry:
         """Return the results of the packets that wait, once there is a start."""
         if self.core is None and not self._start(ended=ended):
             return []
-        results = [self._step(packet) for packet in self._waiting]
-        self._waiting = []
+        packets, self._waiting = self._waiting, []
+        results = [result for packet in packets for result in self._interlude.stepped(packet, self.core, self._step)]
         self.events += self._sequencer.events
         self._sequencer.events = []
         return results
@@ -185,7 +187,8 @@ class FilterOdometry:
         else:
             result = self.core.dead_reckon(packet.end_ns, imu)
         now_ns = self._imu_time(packet.end_ns)
-        self._sequencer.imu.forget_before(now_ns - _KEEP_FACTOR * self._around_ns)
+        if not self._interlude.lasts:
+            self._sequencer.imu.forget_before(now_ns - _KEEP_FACTOR * self._around_ns)
         self._sequencer.lead_ns = now_ns - packet.end_ns + self._around_ns
         return result
 

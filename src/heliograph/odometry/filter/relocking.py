@@ -17,26 +17,33 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array
 from heliograph.data import Event, NavState
 from heliograph.data.error_layout import POSE, POSITION, ROTATION
+from heliograph.errors import DataError
 from heliograph.lie import so3
 from heliograph.maps import LocalMap
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.update import FilterUpdate
+from heliograph.registration import align
 
-__all__ = ["Relocker", "find_place"]
+__all__ = ["Relocker", "find_place", "find_place_anywhere", "new_piece"]
 
 _VAGUE_SIGMA = 0.1  # of a predicted position that is sought widely [m]
-_SEEK_EVERY = 3  # scans from one search to the next
+_SEEK_AT_ONCE, _SEEK_EVERY = 3, 3  # scans that are sought one by one, and from one search to the next after those
 _GIVE_UP_NS = 3_000_000_000  # of scans without a place, after which a new piece of map is begun [ns]
+_MIN_SOUGHT = 5  # of them that were sought
+_SILENCE_NS, _SILENT_PERIODS, _PERIOD_GAIN = 300_000_000, 2.5, 0.1  # without a match, before a prediction is astray
+_ASTRAY_SIGMA, _ASTRAY_TURN = 0.3, np.radians(5.0)  # of what a narrow search comes home from [m], [rad]
 _REMARKED_NS = 300_000_000  # without a place that deserve a remark [ns]
 
 _POINTS = 120  # of a scan that are looked up at each pose
 _STEP, _YAW_STEP = 0.5, np.radians(8.0)  # of the grid [m], [rad]
 _REACH_SIGMAS, _MAX_REACH, _MAX_RISE = 3.0, 8.0, 1.0  # how far the grid goes: sigmas, metres along and up
-_MAX_POSES = 6000
+_MAX_POSES = 16_000
+_MAX_STEP, _MAX_TILT = 0.75, np.radians(6.0)  # a coarser grid, or one that leaves more tilt open, may miss the place
 _GATE = 0.35  # of a point to a plane on the grid [m]
 _TRIED = 6  # poses that are registered
 _START_SIGMA, _START_TURN = 0.4, np.radians(6.0)  # of such a pose [m], [rad]
 _USUAL_PART, _RIVAL_PART = 0.85, 0.93  # of the usual matched share that a place needs; of it that no other may reach
+_MAX_AWAY = 4.0  # sigmas of the prediction within which a place must lie that was found without it
 _ELSEWHERE, _TURNED = 0.6, np.radians(12.0)  # apart by more, two places are two [m], [rad]
 
 
@@ -44,10 +51,24 @@ class Relocker:
     """Follows how long scans have found no place, seeks them widely, and gives the map up when that does not help."""
 
     def __init__(self) -> None:
+        self.seeking = False
+        """Whether the scans since the last match have no place and are sought."""
+        self._matched_ns: int | None = None
+        self._period_ns = 0.0
         self._since_ns: int | None = None
+        self._first_ns = 0
         self._count = 0
         self._last_ns = 0
-        self._events: list[Event] = []
+        self._events: tuple[Event, ...] = ()
+        self._remembered: tuple[NDArray[np.float32], Array] | None = None
+
+    def astray(self, prior: NavState, covariance: Array) -> bool:
+        """Whether a silence has left the prediction so vague that the place nearest to it may be a wrong one."""
+        if self._matched_ns is None:
+            return False
+        silent = prior.stamp_ns - self._matched_ns > max(_SILENCE_NS, _SILENT_PERIODS * self._period_ns)
+        position, turn = (np.linalg.eigvalsh(covariance[part, part])[-1] for part in (POSITION, ROTATION))
+        return bool(silent and (position > _ASTRAY_SIGMA**2 or turn > _ASTRAY_TURN**2))
 
     def sought(
         self,
@@ -58,54 +79,110 @@ class Relocker:
         attempt: Callable[[NavState], FilterUpdate[ScanMeasurement]],
         usual_share: float,
     ) -> FilterUpdate[ScanMeasurement] | None:
-        """Return what `find_place` finds where the prediction is vague, at every third scan; else None."""
+        """Return what `find_place` finds where the prediction is vague, at some of the scans; else None."""
         if not _is_vague(covariance) or usual_share == 0.0:
             return None
+        self.seeking = True
         self._count += 1
-        if self._count % _SEEK_EVERY != 1:
+        if self._count > _SEEK_AT_ONCE and self._count % _SEEK_EVERY:
             return None
-        return find_place(prior, covariance, local_map, points_imu, attempt, usual_share)
+        poses = _grid(prior, covariance)
+        if poses is not None:
+            return find_place(prior, poses, local_map, points_imu, attempt, usual_share)
+        if self._remembered is None:
+            return None
+        return find_place_anywhere(prior, covariance, *self._remembered, points_imu, attempt, usual_share)
+
+    def remember(self, points_imu: NDArray[np.float32], T_odom_imu: Array) -> None:
+        """Keep a scan that was matched, with its pose: what is seen after a silence is looked for in the last one."""
+        self._remembered = (points_imu, T_odom_imu)
 
     def told(self, prior: NavState, fit: FilterUpdate[ScanMeasurement] | None) -> bool:
         """Take in whether a scan found its place; True when the map is to be given up for a new one."""
         last_ns, self._last_ns = self._last_ns or prior.stamp_ns, prior.stamp_ns
         if fit is not None:
-            away = prior.stamp_ns - (self._since_ns or prior.stamp_ns)
-            if away >= _REMARKED_NS:
+            away = prior.stamp_ns - (self._matched_ns or prior.stamp_ns)
+            if away >= _REMARKED_NS and (self.seeking or self._since_ns is not None):
                 moved = float(np.linalg.norm(fit.state.p_odom - prior.p_odom))
                 text = (
                     f"after {away * 1e-9:.1f} s without a match the scans were found again in the map, {moved:.2f} m "
                     "from where the motion model had carried them"
                 )
-                self._events.append(Event(code="relocked", message=text, stamp_ns=prior.stamp_ns))
-            self._since_ns, self._count = None, 0
+                self._events = (*self._events, Event(code="relocked", message=text, stamp_ns=prior.stamp_ns))
+            if self._since_ns is None and self._matched_ns is not None:
+                step_ns = float(prior.stamp_ns - self._matched_ns)
+                self._period_ns += _PERIOD_GAIN * (step_ns - self._period_ns) if self._period_ns else step_ns
+            self._matched_ns = prior.stamp_ns
+            self._since_ns, self._count, self.seeking = None, 0, False
             return False
-        self._since_ns = self._since_ns or last_ns
-        if prior.stamp_ns - self._since_ns < _GIVE_UP_NS or self._count < _SEEK_EVERY:
+        if self._since_ns is None:
+            self._since_ns, self._first_ns = last_ns, prior.stamp_ns
+        if prior.stamp_ns - self._first_ns < _GIVE_UP_NS or self._count < _MIN_SOUGHT:
             return False
-        sigma = float(np.sqrt(np.linalg.eigvalsh(prior.covariance[POSITION, POSITION])[-1]))
-        text = (
-            f"after {(prior.stamp_ns - self._since_ns) * 1e-9:.1f} s no place in the map fits the scans: a new piece "
-            f"of map begins here, known to {sigma:.1f} m (1 sigma) against the one before; come back to a place of it "
-            "to join them by a loop"
+        self._events = (
+            *self._events,
+            new_piece((prior.stamp_ns - self._since_ns) * 1e-9, prior.covariance, prior.stamp_ns),
         )
-        self._events.append(Event(code="new-piece", message=text, stamp_ns=prior.stamp_ns, severity="error"))
-        self._since_ns, self._count = None, 0
+        self.begin(prior.stamp_ns)
         return True
+
+    def begin(self, stamp_ns: int) -> None:
+        """Begin with a new map, which a scan that ends at the stamp is the first of."""
+        self._matched_ns = self._last_ns = stamp_ns
+        self._since_ns, self._count, self.seeking = None, 0, False
 
     def taken_events(self) -> tuple[Event, ...]:
         """Return what has happened since it was asked last."""
-        events, self._events = tuple(self._events), []
+        events, self._events = self._events, ()
         return events
+
+
+def new_piece(seconds: float, covariance: Array, stamp_ns: int) -> Event:
+    """Return what is said where the map is given up after so long without a place."""
+    sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[POSITION, POSITION])[-1]))
+    text = (
+        f"after {seconds:.1f} s no place in the map fits the scans: a new piece of map begins here, known to "
+        f"{sigma:.1f} m (1 sigma) against the one before; come back to a place of it to join them by a loop"
+    )
+    return Event(code="new-piece", message=text, stamp_ns=stamp_ns, severity="error")
 
 
 def _is_vague(covariance: Array) -> bool:
     return float(np.linalg.eigvalsh(covariance[POSITION, POSITION])[-1]) > _VAGUE_SIGMA**2
 
 
-def find_place(
+def find_place_anywhere(
     prior: NavState,
     covariance: Array,
+    points_before: NDArray[np.float32],
+    T_odom_before: Array,
+    points_imu: NDArray[np.float32],
+    attempt: Callable[[NavState], FilterUpdate[ScanMeasurement]],
+    usual_share: float,
+) -> FilterUpdate[ScanMeasurement] | None:
+    """Return the update at a place found by aligning the scan to the last one that had one, whatever the prediction.
+
+    `heliograph.registration.align` accepts a pose without a start only where the evidence leaves no other; the map must
+    bear it out like any place.
+    """
+    try:
+        found = align(points_before, points_imu, start="global")
+    except DataError:
+        return None
+    if found.T_target_source is None:
+        return None
+    T = T_odom_before @ found.T_target_source
+    away = T[:3, 3] - prior.p_odom
+    if away @ np.linalg.solve(covariance[POSITION, POSITION], away) > _MAX_AWAY**2:
+        return None
+    fit = attempt(_state_at(prior, T))
+    share = fit.measurement.sums.matches / max(fit.measurement.sums.queries, 1)
+    return fit if fit.converged and share >= _USUAL_PART * usual_share else None
+
+
+def find_place(
+    prior: NavState,
+    poses: Array,
     local_map: LocalMap,
     points_imu: NDArray[np.float32],
     attempt: Callable[[NavState], FilterUpdate[ScanMeasurement]],
@@ -117,8 +194,8 @@ def find_place(
     ----------
     prior : NavState
         The vague prediction.
-    covariance : (6, 6) float64
-        Covariance of its pose in the map.
+    poses : (K, 4, 4) float64
+        Those to look at.
     local_map : LocalMap
     points_imu : (N, 3) float32
         Points of the scan as the prediction de-skews them [m].
@@ -127,33 +204,40 @@ def find_place(
     usual_share : float
         Share of the points that matched in scans before.
     """
-    poses = _grid(prior, covariance)
     shares = _shares(poses, local_map, points_imu[:: max(1, len(points_imu) // _POINTS)])
     found: list[tuple[float, FilterUpdate[ScanMeasurement]]] = []
     for k in _distinct(poses, shares):
         fit = attempt(_state_at(prior, poses[k]))
         share = fit.measurement.sums.matches / max(fit.measurement.sums.queries, 1)
-        if fit.converged:
-            found.append((share, fit))
-    if not found:
+        found.append((share, fit))
+    best_share, best = max(found, key=lambda item: (item[1].converged, item[0]))
+    if not best.converged:
         return None
-    best_share, best = max(found, key=lambda item: item[0])
     rivals = [share for share, fit in found if _apart(fit.state, best.state) and share > _RIVAL_PART * best_share]
     return best if best_share >= _USUAL_PART * usual_share and not rivals else None
 
 
-def _grid(prior: NavState, covariance: Array) -> Array:
-    """Return poses (K, 4, 4) over what the prediction allows of position and heading, the prediction among them."""
+def _grid(prior: NavState, covariance: Array) -> Array | None:
+    """Return poses (K, 4, 4) over what the prediction allows of position and heading, the prediction among them.
+
+    None where that is more than can be looked at: the best of a part may be a wrong place that looks like the right.
+    """
     sigma = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[POSITION, POSITION])[-1], 0.0))
     up = np.array([0.0, 0.0, 1.0]) if not prior.g_odom.any() else -prior.g_odom / np.linalg.norm(prior.g_odom)
     along = prior.R_odom_imu.T @ up
     turn = float(np.sqrt(max(along @ covariance[ROTATION, ROTATION] @ along, 0.0)))
-    reach = float(np.clip(_REACH_SIGMAS * sigma, 2 * _STEP, _MAX_REACH))
+    across = np.eye(3) - np.outer(along, along)
+    tilt = float(np.sqrt(max(np.linalg.eigvalsh(across @ covariance[ROTATION, ROTATION] @ across)[-1], 0.0)))
+    reach = max(_REACH_SIGMAS * float(sigma), 2 * _STEP)
+    if reach > _MAX_REACH or tilt > _MAX_TILT:
+        return None
     yaws = _steps(min(_REACH_SIGMAS * turn, np.pi), _YAW_STEP)
     rises = _steps(min(_REACH_SIGMAS * float(np.sqrt(covariance[5, 5])), _MAX_RISE), _STEP)
     step = _STEP
     while (2 * reach / step + 1) ** 2 * len(yaws) * len(rises) > _MAX_POSES:
         step *= 1.25
+    if step > _MAX_STEP:
+        return None
     ways = _steps(reach, step)
     x, y, z, yaw = (values.ravel() for values in np.meshgrid(ways, ways, rises, yaws, indexing="ij"))
     poses = np.tile(np.eye(4), (len(x), 1, 1))
