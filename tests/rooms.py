@@ -52,6 +52,7 @@ ALLOWED: dict[str, set[str]] = {
     "slam": COMMON | SLAM | {"metrics"},
     "survey": COMMON | SLAM | {"slam", "io"},
     "revision": COMMON | SLAM | {"slam", "io", "output"},
+    "localization": COMMON | SLAM | {"slam", "io", "output", "revision"},
     "calibration": COMMON | SLAM,
     "io": COMMON | SENSING,
     "sim": COMMON | SENSING,
@@ -67,7 +68,7 @@ ALLOWED: dict[str, set[str]] = {
     "cli": COMMON
     | SLAM
     | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report"}
-    | {"comparison", "revision", "support", "survey", "lab"},
+    | {"comparison", "localization", "revision", "support", "survey", "lab"},
 }
 """Room below `heliograph` -> the rooms that it may import."""
 

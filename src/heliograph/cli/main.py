@@ -20,6 +20,7 @@ from heliograph.cli import (
     evaluate,
     info,
     lab,
+    localize,
     loops,
     run,
     simulate,
@@ -51,6 +52,9 @@ app = typer.Typer(
 app.command("run", cls=PluggableCommand, short_help="Recording in, trajectory and map out: the main job.")(run.run)
 app.command("info", cls=PluggableCommand, short_help="What a recording holds and what was inferred from it.")(info.info)
 app.command("check", short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
+app.command(
+    "localize", cls=PluggableCommand, short_help="A recording in a saved map: where it is, or that it is not known."
+)(localize.localize)
 app.command("loops", short_help="A run's loops: list, explain, revoke, add by hand.")(loops.loops)
 app.command("survey", short_help="A run in a coordinate system, tied to control points.")(survey.survey)
 app.command("compare", short_help="Runs side by side: distances, maps, loops, settings that differ.")(compare.compare)

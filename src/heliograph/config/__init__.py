@@ -5,6 +5,7 @@ from heliograph.config.checks import CheckConfig
 from heliograph.config.files import InputConfig, OutputConfig
 from heliograph.config.gnss import GnssConfig
 from heliograph.config.loam import FeatureConfig, LoamConfig
+from heliograph.config.localization import LocalizationConfig
 from heliograph.config.loops import LoopConfig, PlacesConfig
 from heliograph.config.odometry import CloudConfig, FilterConfig, ImuConfig, MapConfig
 from heliograph.config.registration import AlignConfig, GlobalAlignConfig, KdTreeMapConfig
@@ -25,6 +26,7 @@ __all__ = [
     "InputConfig",
     "KdTreeMapConfig",
     "LoamConfig",
+    "LocalizationConfig",
     "LoopConfig",
     "MapConfig",
     "OutputConfig",

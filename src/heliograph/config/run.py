@@ -9,6 +9,7 @@ from heliograph.config.checks import CheckConfig
 from heliograph.config.files import InputConfig, OutputConfig
 from heliograph.config.gnss import GnssConfig
 from heliograph.config.loam import LoamConfig
+from heliograph.config.localization import LocalizationConfig
 from heliograph.config.loops import LoopConfig, PlacesConfig
 from heliograph.config.odometry import CloudConfig, FilterConfig, ImuConfig, MapConfig
 from heliograph.config.slam import SlamConfig
@@ -48,6 +49,7 @@ class RunConfig:
     loops: LoopConfig = field(default_factory=LoopConfig)
     gnss: GnssConfig = field(default_factory=GnssConfig)
     wheels: WheelConfig = field(default_factory=WheelConfig)
+    localization: LocalizationConfig = field(default_factory=LocalizationConfig)
     check: CheckConfig = field(default_factory=CheckConfig)
     output: OutputConfig = field(default_factory=OutputConfig)
 

@@ -1,0 +1,227 @@
+"""The search for a query's place in a saved map: all that looks like it, the best of it aligned and weighed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from heliograph import _core
+from heliograph.arrays import Array, Points, freeze
+from heliograph.config import LocalizationConfig
+from heliograph.lie import se3
+from heliograph.localization.saved_map import SavedMap, SavedSubmap, align_config, thinned
+from heliograph.registration import PreparedCloud, align, prepare_cloud
+from heliograph.registration.align_levels import METHODS, fit_levels
+from heliograph.slam.loops.tangent import near
+
+__all__ = ["MapPlace", "Query", "search", "weigh"]
+
+_THROUGH = 10.0  # a share of this one over of what should be seen, seen through, takes a score to 1/e
+_REACH = 0.5  # largest distance of a counterpart [m]
+_KERNEL = 0.1  # residual at which a match counts a quarter [m]
+_CELL = math.radians(2.0)  # of directions, in which a query has seen what is between its nearest and farthest return
+_APART, _APART_DEG = 1.5, 12.0  # guesses nearer than this lead to the same place [m], [deg]
+_PROMISING = 0.75  # share of the best guess's coarse overlap below which a guess is not followed
+_WORTH = 0.8  # share of what a place must explain at which it is aligned to the end
+_COARSE = 2  # level at which guesses are compared
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Query:
+    """What is to be found: a local map of the latest scans.
+
+    Parameters
+    ----------
+    cloud : PreparedCloud
+        In the levelled body frame: z up, the origin at the IMU [m].
+    image : object
+        By direction, between which distances it has seen something; of the native core.
+    """
+
+    cloud: PreparedCloud
+    image: _core.RangeImage
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @classmethod
+    def of(cls, points_level: Points, saved: SavedMap, config: LocalizationConfig) -> Query:
+        """Prepare points (N, 3) of a levelled body frame [m] for a map.
+
+        Raises
+        ------
+        DataError
+            Too few points.
+        """
+        cloud = prepare_cloud(points_level, align_config(config, sided=saved.sided), name="the scans")
+        return cls(cloud=cloud, image=_core.RangeImage(cloud.points, _CELL))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapPlace:
+    """A place where a query may be, and what tells for it.
+
+    Parameters
+    ----------
+    T_map_level : (4, 4) float64
+        Pose of the query's levelled frame.
+    covariance : (6, 6) float64
+        Covariance of that, right perturbation, with the map's own [rad^2, m^2].
+    explained : float
+        Share of the query's surfaces that lie on the map's, less the worse they fit.
+    confirmed, seen_through : float
+        Shares of the map's surfaces that the query should see there: those that it does, and those that it looks
+        through at something behind.
+    held : bool
+        Whether the match sees every direction: in a corridor without doors the place is not told along it.
+    """
+
+    T_map_level: Array
+    covariance: Array
+    explained: float
+    confirmed: float
+    seen_through: float
+    held: bool
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    @property
+    def score(self) -> float:
+        """What is explained, as far as the scans do not contradict it."""
+        return self.explained * math.exp(-_THROUGH * self.seen_through)
+
+    def stands(self, config: LocalizationConfig) -> bool:
+        """Whether the place, taken by itself, may be the right one."""
+        return (
+            self.explained >= config.min_explained
+            and self.confirmed >= config.min_confirmed
+            and self.seen_through <= config.max_seen_through
+        )
+
+
+def search(
+    query: Query, saved: SavedMap, config: LocalizationConfig, *, known: Sequence[Array] = ()
+) -> tuple[MapPlace, ...]:
+    """Return the places that explain a query best, the best first, no two of them the same.
+
+    Every submap is asked where in it the query would be; guesses that lead to the same place are one. They are aligned
+    in the order of their promise until they promise less than is needed to be the best place's rival. It ends early
+    where there are more rivals already than need be told apart: that is ambiguous whatever the others say.
+
+    Parameters
+    ----------
+    query : Query
+    saved : SavedMap
+    config : LocalizationConfig
+    known : sequence of (4, 4) float64
+        Poses of the levelled frame that are tried in any case, such as those of places found before.
+    """
+    found: list[MapPlace] = []
+    for T in known:
+        _take(found, weigh(query, saved.nearest(T), T, saved, config), config)
+    best = 0.0
+    for count, (promise, submap, T) in enumerate(_guesses(query, saved, config)):
+        best = max(best, promise)
+        if promise < _PROMISING * best or count >= config.tried or _ambiguous(found, config):
+            break
+        _take(found, weigh(query, submap, T, saved, config), config)
+    return tuple(sorted(found, key=lambda place: -place.score))
+
+
+def weigh(
+    query: Query,
+    submap: SavedSubmap,
+    T_map_level: Array,
+    saved: SavedMap,
+    config: LocalizationConfig,
+    *,
+    moves: bool = True,
+) -> MapPlace | None:
+    """Align a query from a guess and return what tells for the place; None where there is no pose.
+
+    Parameters
+    ----------
+    query : Query
+    submap : SavedSubmap
+        That the guess lies in.
+    T_map_level : (4, 4) float64
+    saved : SavedMap
+    config : LocalizationConfig
+    moves : bool
+        Without it the guess is weighed where it is, and nothing is said of its covariance.
+    """
+    T = np.ascontiguousarray(se3.inverse(submap.T_map_submap) @ T_map_level)
+    settings = submap.cloud.config
+    covariance, held = np.zeros((6, 6)), False
+    if moves:
+        T = np.ascontiguousarray(fit_levels(submap.cloud, query.cloud, T, "gicp", settings, 1).T)
+        if _explained(query, submap, T, saved) >= _WORTH * config.min_explained:  # else it is refused in any case
+            result = align(submap.cloud, query.cloud, start=T, config=settings)
+            if result.T_target_source is None or result.covariance is None:
+                return None
+            T, held = np.ascontiguousarray(result.T_target_source), result.status == "converged"
+            covariance = config.correlation * result.covariance
+    back = np.ascontiguousarray(se3.inverse(T))
+    seen, expected, through = query.image.sight(query.cloud.native, submap.cloud.native, 0, back, _REACH, 1)
+    carry = se3.adjoint(back)
+    return MapPlace(
+        T_map_level=submap.T_map_submap @ T,
+        covariance=covariance + carry @ submap.covariance @ carry.T,
+        explained=_explained(query, submap, T, saved),
+        confirmed=seen / max(expected, 1),
+        seen_through=through / max(expected, 1),
+        held=held,
+    )
+
+
+def _explained(query: Query, submap: SavedSubmap, T: Array, saved: SavedMap) -> float:
+    """Return the robust weight of the query's matches over the number of its elements."""
+    matcher, settings = _core.Matcher(submap.cloud.native, 0, query.cloud.native, 0), submap.cloud.config
+    sums = matcher.sums(
+        T, METHODS["gicp"], False, _REACH, _KERNEL, settings.sigma, settings.min_cosine, saved.sided, False, 1
+    )
+    return float(sums[3]) / max(query.cloud.native.size(0), 1)
+
+
+def _guesses(query: Query, saved: SavedMap, config: LocalizationConfig) -> Iterator[tuple[float, SavedSubmap, Array]]:
+    """Yield promise, submap and pose of the guesses of all submaps, the most promising first, no two the same."""
+    everywhere = np.ones(len(saved), dtype=bool)
+    places = saved.detector.query(thinned(query.cloud.points), allowed=everywhere, top=config.placed)
+    level = min(_COARSE, config.levels - 1)
+    reach = config.voxel * 2.0**level
+    guesses = []
+    for place in places:
+        submap = saved.submaps[place.index]
+        T = np.ascontiguousarray(place.T_match_query)
+        promise = submap.cloud.native.overlap(level, query.cloud.native, level, T, reach, 1)
+        guesses.append((promise, submap, submap.T_map_submap @ T))
+    guesses.sort(key=lambda guess: -guess[0])
+    told: list[Array] = []
+    for promise, submap, T in guesses:
+        if not any(near(T, other, _APART, _APART_DEG) for other in told):
+            told.append(T)
+            yield promise, submap, T
+
+
+def _take(found: list[MapPlace], place: MapPlace | None, config: LocalizationConfig) -> None:
+    """Add a place; of two that are the same the better one stays."""
+    if place is None:
+        return
+    same = [
+        k for k, other in enumerate(found) if near(other.T_map_level, place.T_map_level, config.same, config.same_deg)
+    ]
+    if not same:
+        found.append(place)
+    elif place.score > found[same[0]].score:
+        found[same[0]] = place
+
+
+def _ambiguous(found: Sequence[MapPlace], config: LocalizationConfig) -> bool:
+    """Whether enough places explain the query alike."""
+    best = max((place.score for place in found), default=0.0)
+    standing = [place for place in found if place.stands(config)]
+    return sum(place.score >= config.rival * best for place in standing) > config.refined
