@@ -50,7 +50,7 @@ ALLOWED: dict[str, set[str]] = {
     "graph": COMMON | {"lie"},
     "factors": COMMON | FACTORS,
     "slam": COMMON | SLAM | {"metrics"},
-    "survey": COMMON | SLAM | {"slam", "io"},
+    "survey": COMMON | SLAM | {"slam", "io", "output"},
     "revision": COMMON | SLAM | {"slam", "io", "output"},
     "localization": COMMON | SLAM | {"slam", "io", "output", "revision"},
     "calibration": COMMON | SLAM,

@@ -52,6 +52,8 @@ def survey(
         control = _facts(rows)
         if not json:
             typer.echo("\n".join(_table(rows)))
+        for line in _suspects(rows):
+            typer.echo(line, err=True)
     files = write_survey(placed, crs, control)
     if json:
         typer.echo(jsonlib.dumps({"files": [str(path) for path in files], "control_points": control}))
@@ -136,7 +138,7 @@ def _facts(rows: Sequence[ControlResidual]) -> dict[str, Any]:
     return {
         "points": [
             {"id": row.name, "kind": row.kind, "before_enu_m": row.before.tolist(), "after_enu_m": row.after.tolist(),
-             "sigma_m": row.sigma}
+             "sigma_m": row.sigma, "chance": row.chance, "suspect": row.suspect}
             for row in rows
         ],
         "control_rms_enu_m": rms("control", "after"),
@@ -152,5 +154,20 @@ def _table(rows: Sequence[ControlResidual]) -> list[str]:
             before, after = f"{row.before[0]:+.3f}", f"{row.after[0]:+.3f}"
         else:
             before, after = (" ".join(f"{value:+8.3f}" for value in values) for values in (row.before, row.after))
-        lines.append(f"{row.name:<12} {row.kind:<8} {before:<28} {after:<28} {row.sigma:.3f}")
+        mark = " ?" if row.suspect else ""
+        lines.append(f"{row.name:<12} {row.kind:<8} {before:<28} {after:<28} {row.sigma:.3f}{mark}")
     return lines
+
+
+def _suspects(rows: Sequence[ControlResidual]) -> list[str]:
+    """Return a line for the point that fits worst, where some fit worse than their sigmas allow."""
+    suspects = sorted((row for row in rows if row.suspect), key=lambda row: row.chance)
+    if not suspects:
+        return []
+    worst, others = suspects[0], len(suspects) - 1
+    off = float(sum(value**2 for value in worst.after) ** 0.5)
+    more = f", and {others} more" if others else ""
+    return [
+        f"warning: {worst.kind} {worst.name} is {off:.3f} m off where its sigma is {worst.sigma:.3f} m{more}: look at "
+        "its coordinates and at where it was picked, then leave it out or make it a check point"
+    ]

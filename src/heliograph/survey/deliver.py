@@ -14,6 +14,7 @@ from heliograph.atomic import write_text
 from heliograph.errors import DataError, FormatError
 from heliograph.io.files.clouds import read_cloud
 from heliograph.io.files.poses import read_poses
+from heliograph.lie import se3
 from heliograph.survey.coordinates import CoordinateSystem, find_coordinate_system
 from heliograph.survey.las import write_survey_las
 from heliograph.survey.placed_run import PlacedRun
@@ -58,8 +59,9 @@ def deliver(run: PlacedRun, crs: str, control: dict[str, Any] | None = None) -> 
     track, folder = _track(run), run.folder
     files = [folder / f"map_{system.tag}.laz", folder / f"trajectory_{system.tag}.csv"]
     points, intensity = _map(run)
-    p = system.from_enu(points @ run.T_enu_map[:3, :3].T + run.T_enu_map[:3, 3])
-    write_survey_las(files[0], p, intensity, _times(points, run), system, f"Heliograph {run.folder.name}")
+    stamps = _times(points, run)
+    p = system.from_enu(se3.act(run.T_enu_map @ run.moved.T_map_odom(stamps), points))
+    write_survey_las(files[0], p, intensity, stamps, system, f"Heliograph {run.folder.name}")
     write_csv_track(files[1], track, system)
     if run.origin_deg is not None:
         files += [folder / "trajectory.gpx", folder / "trajectory.kml"]
@@ -113,7 +115,7 @@ def _track(run: PlacedRun) -> SurveyTrack:
     at = [np.interp(trajectory.stamps_ns, run.stamps_ns, column) for column in (*position.T, heading)]
     return SurveyTrack(
         stamps_ns=trajectory.stamps_ns,
-        T_enu_body=run.T_enu_map @ trajectory.T_frame_body,
+        T_enu_body=run.T_enu_map @ run.moved.T_map_odom(trajectory.stamps_ns) @ trajectory.T_frame_body,
         sigma=np.stack(at[:3], axis=-1),
         sigma_heading=at[3],
     )
@@ -135,7 +137,7 @@ def _times(points: Array, run: PlacedRun) -> Stamps:
     low, size = cells.min(axis=0), np.ptp(cells, axis=0) + 1
     code = ((cells[:, 0] - low[0]) * size[1] + cells[:, 1] - low[1]) * size[2] + cells[:, 2] - low[2]
     _, first, cube = np.unique(code, return_index=True, return_inverse=True)
-    centres, keyframes = points[first], run.T_map_imu[:, :3, 3]
+    centres, keyframes = points[first], run.T_files_imu[:, :3, 3]
     nearest = np.empty(len(centres), dtype=np.int64)
     for start in range(0, len(centres), _BLOCK):
         part = centres[start : start + _BLOCK]

@@ -14,6 +14,7 @@ from heliograph.arrays import Array, Stamps, freeze
 from heliograph.errors import DataError, FormatError
 from heliograph.factors import SENSOR_FACTORS
 from heliograph.graph import FactorGraph, Marginals, Symbol, Values, load_graph
+from heliograph.output.final_poses import FinalPoses
 from heliograph.slam import KEYFRAMES, KeyframeStore
 
 __all__ = ["PlacedRun", "open_placed_run"]
@@ -37,6 +38,8 @@ class PlacedRun:
         Solved; ``X`` keyframes, ``E`` is ``T_map_enu`` where the run is placed.
     origin_deg : (3,) float64 or None
         Origin of east-north-up: latitude, longitude [deg], height above the ellipsoid [m]; None: not placed.
+    T_files_imu : (K, 4, 4) float64
+        Poses of the keyframes that the run's own files were written with; `values` may have been solved anew since.
     """
 
     folder: Path
@@ -45,6 +48,7 @@ class PlacedRun:
     graph: FactorGraph
     values: Values
     origin_deg: Array | None
+    T_files_imu: Array
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -52,8 +56,12 @@ class PlacedRun:
     @property
     def T_map_imu(self) -> Array:
         """Poses of the keyframes, (K, 4, 4)."""
-        keys = X(np.arange(len(self.stamps_ns)))
-        return np.ascontiguousarray(self.values.at(keys).matrix[:, :4, :4])
+        return _poses(self.values, len(self.stamps_ns))
+
+    @property
+    def moved(self) -> FinalPoses:
+        """What takes the run's files, written before it was solved anew, to where it is now."""
+        return FinalPoses(stamps_ns=self.stamps_ns, T_odom_imu=self.T_files_imu, T_map_imu=self.T_map_imu)
 
     @property
     def T_enu_map(self) -> Array:
@@ -86,6 +94,10 @@ class PlacedRun:
             position[k] = np.sqrt(np.maximum(np.diag(J @ P @ J.T), 0.0))
             heading[k] = np.sqrt(max(float(H @ P @ H), 0.0))
         return position, heading
+
+
+def _poses(values: Values, count: int) -> Array:
+    return np.ascontiguousarray(values.at(X(np.arange(count))).matrix[:, :4, :4])
 
 
 def _with_frame(marginals: Marginals, key: int, T: Array, R_enu: Array, T_enu_map: Array) -> tuple[Array, Array, Array]:
@@ -131,4 +143,7 @@ def open_placed_run(folder: Path | str) -> PlacedRun:
     if gnss.get("aligned") and int(E(0)) in values:
         place = gnss["origin"]
         origin = np.array([place["latitude_deg"], place["longitude_deg"], place["height_ellipsoid_m"]])
-    return PlacedRun(folder=folder, facts=facts, stamps_ns=stamps, graph=graph, values=values, origin_deg=origin)
+    return PlacedRun(
+        folder=folder, facts=facts, stamps_ns=stamps, graph=graph, values=values, origin_deg=origin,
+        T_files_imu=_poses(values, len(stamps)),
+    )  # fmt: skip
