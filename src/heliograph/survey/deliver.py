@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import Array, Stamps
 from heliograph.atomic import write_text
+from heliograph.config_toml import load_config
 from heliograph.errors import DataError, FormatError
 from heliograph.io.files.clouds import read_cloud
 from heliograph.io.files.poses import read_poses
 from heliograph.lie import se3
+from heliograph.maps import GlobalMap
+from heliograph.slam import KEYFRAMES, KeyframeStore
 from heliograph.survey.coordinates import CoordinateSystem, find_coordinate_system
 from heliograph.survey.las import write_survey_las
 from heliograph.survey.placed_run import PlacedRun
@@ -59,9 +62,8 @@ def deliver(run: PlacedRun, crs: str, control: dict[str, Any] | None = None) -> 
     track, folder = _track(run), run.folder
     files = [folder / f"map_{system.tag}.laz", folder / f"trajectory_{system.tag}.csv"]
     points, intensity = _map(run)
-    stamps = _times(points, run)
-    p = system.from_enu(se3.act(run.T_enu_map @ run.moved.T_map_odom(stamps), points))
-    write_survey_las(files[0], p, intensity, stamps, system, f"Heliograph {run.folder.name}")
+    p = system.from_enu(se3.act(run.T_enu_map, points))
+    write_survey_las(files[0], p, intensity, _times(points, run), system, f"Heliograph {run.folder.name}")
     write_csv_track(files[1], track, system)
     if run.origin_deg is not None:
         files += [folder / "trajectory.gpx", folder / "trajectory.kml"]
@@ -122,13 +124,26 @@ def _track(run: PlacedRun) -> SurveyTrack:
 
 
 def _map(run: PlacedRun) -> tuple[Array, NDArray[np.float32] | None]:
+    """Return the run's map (N, 3); where it was bent since, put together anew from the keyframes' clouds."""
+    T_moved = run.moved.rigid
+    if T_moved is None:
+        return _map_of_keyframes(run)
     for name in ("map.ply", "map.pcd"):
         if (run.folder / name).is_file():
             cloud = read_cloud(run.folder / name)
-            return cloud.points.astype(np.float64), cloud.intensity
+            return se3.act(T_moved, cloud.points.astype(np.float64)), cloud.intensity
     raise FormatError(
         run.folder, "holds no map.ply or map.pcd; run again without --map-format laz (--crs writes LAZ too)"
     )
+
+
+def _map_of_keyframes(run: PlacedRun) -> tuple[Array, NDArray[np.float32] | None]:
+    store = KeyframeStore.open(run.folder / KEYFRAMES)
+    whole = GlobalMap(load_config(run.folder / "config.toml").output.map_voxel)
+    for keyframe, T in zip(store, run.T_map_imu, strict=True):
+        whole.insert(keyframe.points_imu, keyframe.intensity, np.ascontiguousarray(T))
+    store.close()
+    return whole.points().astype(np.float64), whole.intensity()
 
 
 def _times(points: Array, run: PlacedRun) -> Stamps:
@@ -137,7 +152,7 @@ def _times(points: Array, run: PlacedRun) -> Stamps:
     low, size = cells.min(axis=0), np.ptp(cells, axis=0) + 1
     code = ((cells[:, 0] - low[0]) * size[1] + cells[:, 1] - low[1]) * size[2] + cells[:, 2] - low[2]
     _, first, cube = np.unique(code, return_index=True, return_inverse=True)
-    centres, keyframes = points[first], run.T_files_imu[:, :3, 3]
+    centres, keyframes = points[first], run.T_map_imu[:, :3, 3]
     nearest = np.empty(len(centres), dtype=np.int64)
     for start in range(0, len(centres), _BLOCK):
         part = centres[start : start + _BLOCK]
