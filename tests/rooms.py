@@ -34,7 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "geodesy": set(),
     "guard": {"errors", "config"},
     "plugins": {"errors"},
-    "support": {"errors", "atomic"},
+    "support": {"errors", "atomic", "guard"},
     "config_checks": {"errors"},
     "config_registration": {"errors", "config_checks"},
     "config": {"errors", "config_checks", "config_registration"},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from heliograph import _core
 from heliograph.arrays import freeze
 from heliograph.config_toml import load_config
 from heliograph.errors import DataError, FormatError, HeliographError
+from heliograph.guard.account import read_account
 from heliograph.io.files.clouds import CLOUD_SUFFIXES, read_cloud
 from heliograph.io.files.poses import read_poses
 from heliograph.metrics import evaluate
@@ -181,11 +181,8 @@ def _same_recording(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool | None:
 
 
 def _facts(folder: Path) -> dict[str, Any]:
-    try:
-        facts = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise FormatError(folder, f"is no folder of a run (run.json: {error}); name what `run` wrote") from error
-    if not isinstance(facts, dict) or not isinstance(facts.get("status"), str):
+    facts = read_account(folder)
+    if "status" not in facts:
         raise FormatError(folder / "run.json", "is no account of a run; name the folder that `run` wrote")
     if facts["status"] == "running":
         raise FormatError(folder, "is a run that has not ended; wait for it, or run it again with --overwrite")

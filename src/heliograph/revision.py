@@ -18,6 +18,7 @@ from heliograph.data import GraphAccount
 from heliograph.errors import DataError, FormatError
 from heliograph.factors import SENSOR_FACTORS
 from heliograph.graph import Symbol, load_graph
+from heliograph.guard.account import read_account
 from heliograph.io.files.clouds import write_cloud
 from heliograph.maps import GlobalMap
 from heliograph.output.facts import graph_facts
@@ -153,7 +154,7 @@ def open_run_graph(folder: Path | str) -> RunGraph:
         It is no folder of a run, the run had no graph, or a file of it is missing or damaged.
     """
     folder = Path(folder)
-    facts = _facts(folder)
+    facts = read_account(folder)
     if "graph" not in facts:
         raise FormatError(folder, "is a run without a graph (--no-graph, or it has not ended); run it again")
     config = load_config(folder / "config.toml")
@@ -173,17 +174,6 @@ def open_run_graph(folder: Path | str) -> RunGraph:
             )
         T, fixes = np.ascontiguousarray(values.at(keys).matrix[:, :4, :4]), kept_fixes(graph, values)
     return RunGraph(folder=folder, config=config, facts=facts, store=store, ledger=ledger, T_map_imu=T, fixes=fixes)
-
-
-def _facts(folder: Path) -> dict[str, Any]:
-    path = folder / "run.json"
-    try:
-        facts = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise FormatError(folder, f"is no folder of a run (run.json: {error}); name what `run` wrote") from error
-    if not isinstance(facts, dict):
-        raise FormatError(path, "is no account of a run; name the folder that `run` wrote")
-    return facts
 
 
 def _held(graph: Mapping[str, Any]) -> bool:

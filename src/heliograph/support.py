@@ -14,6 +14,7 @@ from typing import Any
 
 from heliograph.atomic import atomic_path
 from heliograph.errors import FormatError
+from heliograph.guard.account import read_account
 
 __all__ = ["pack_support"]
 
@@ -79,10 +80,9 @@ def _read(path: Path) -> str:
 
 def _facts(folder: Path) -> dict[str, Any]:
     try:
-        facts = json.loads(_read(folder / "run.json"))
-    except ValueError:
-        return {}
-    return facts if isinstance(facts, dict) else {}
+        return read_account(folder)
+    except FormatError:
+        return {}  # it is packed as text, for that may be what the report is about
 
 
 def _topics(facts: Mapping[str, Any]) -> set[str]:

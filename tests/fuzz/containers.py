@@ -17,7 +17,7 @@ from tests.fuzz.mutations import LONG_WORDS, TOKENS, WORDS, change, of_bytes
 
 from heliograph.io.bags.unpack import zstd
 
-__all__ = ["in_bag", "in_frame", "in_head", "in_las", "in_mcap", "in_pcap", "in_shapes"]
+__all__ = ["in_bag", "in_frame", "in_head", "in_las", "in_mcap", "in_pcap", "in_shapes", "warm_bombs"]
 
 MAGIC = b"\x89MCAP0\r\n"
 BOMB = 300_000_000  # bytes; more than one chunk may have
@@ -73,6 +73,12 @@ def records_of(data: bytes) -> list[Record]:
         if opcode == 0x02:
             break
     return found
+
+
+def warm_bombs() -> None:
+    """Make what many cases take, once."""
+    for name in ("zstd", "lz4", "bz2"):
+        _packed_bomb(name)
 
 
 def in_mcap(data: bytes, rng: random.Random) -> bytes:

@@ -182,12 +182,12 @@ LOOPS = command("loops", "{}", "--json")
 
 def _recordings() -> list[Target]:
     return [
-        Target("mcap bytes", "ouster.mcap", of_bytes, STREAM, 20),
-        Target("mcap messages", "ouster.mcap", in_messages, STREAM, 30),
-        Target("mcap fields", "ouster.mcap", in_fields, STREAM, 40),
-        Target("mcap records", "ouster.mcap", in_mcap, STREAM, 20),
-        Target("livox messages", "livox-custom.mcap", in_messages, STREAM, 15),
-        Target("livox fields", "livox-custom.mcap", in_fields, STREAM, 20),
+        Target("mcap bytes", "short-ouster.mcap", of_bytes, STREAM, 20),
+        Target("mcap messages", "short-ouster.mcap", in_messages, STREAM, 30),
+        Target("mcap fields", "short-ouster.mcap", in_fields, STREAM, 40),
+        Target("mcap records", "short-ouster.mcap", in_mcap, STREAM, 20),
+        Target("livox messages", "short-livox-custom.mcap", in_messages, STREAM, 15),
+        Target("livox fields", "short-livox-custom.mcap", in_fields, STREAM, 20),
         Target("mcap chunks", "chunked.mcap", of_bytes, STREAM, 20),
         Target("mcap inside chunks", "chunked.mcap", in_mcap, STREAM, 40),
         Target("ros 1 bag", "plain.bag", of_bytes, STREAM, 20),

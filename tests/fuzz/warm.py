@@ -17,6 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import typer.main
+from tests.fuzz.containers import warm_bombs
 from tests.fuzz.runner import Case, run_case
 from tests.fuzz.targets import Target, place
 
@@ -35,6 +36,7 @@ def warm_up(targets: Sequence[Target], seeds: Path) -> list[str]:
         with contextlib.suppress(ImportError):  # of an extra that is not installed
             importlib.import_module(module.name)
     typer.main.get_command = lru_cache(typer.main.get_command)  # the commands, made once and not for every case
+    warm_bombs()
     wrong, seen = [], set[object]()
     for target in targets:
         untouched = None if target.spoil_folder is None else (lambda _folder, _rng: None)

@@ -84,12 +84,13 @@ def _open(paths: list[Path], config: RunConfig) -> tuple[Recording, str]:
 def _show_run(folder: Path, *, json: bool, quiet: bool) -> None:
     """Print the verdicts that a run came to, and its status."""
     from heliograph.cli.closing import check_lines
-    from heliograph.errors import DataError
+    from heliograph.errors import DataError, FormatError
+    from heliograph.guard.account import read_account
 
     try:
-        facts = jsonlib.loads((folder / "run.json").read_text(encoding="utf-8"))
+        facts = read_account(folder)
         checks, status, reasons = facts["checks"], facts["status"], facts["reasons"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (FormatError, KeyError):
         raise DataError(
             f"{folder} holds no verdicts: its run has not ended, or was made before runs gave any; run it again"
         ) from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from heliograph.arrays import Array, Stamps, freeze
 from heliograph.errors import DataError, FormatError
 from heliograph.factors import SENSOR_FACTORS
 from heliograph.graph import FactorGraph, Marginals, Symbol, Values, load_graph
+from heliograph.guard.account import read_account
 from heliograph.output.final_poses import FinalPoses
 from heliograph.slam import KEYFRAMES, KeyframeStore
 
@@ -126,10 +126,7 @@ def open_placed_run(folder: Path | str) -> PlacedRun:
         It is no folder of a run, or the run had no graph.
     """
     folder = Path(folder)
-    try:
-        facts = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise FormatError(folder, f"is no folder of a run (run.json: {error}); name what `run` wrote") from error
+    facts = read_account(folder)
     if "graph" not in facts:
         raise FormatError(folder, "is a run without a graph (--no-graph, or it has not ended); run it again")
     graph, values = load_graph(folder / "graph.npz", factors=SENSOR_FACTORS)

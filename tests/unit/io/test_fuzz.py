@@ -4,6 +4,7 @@ import random
 
 import pytest
 from tests.bags import drive
+from tests.fuzz.containers import in_bag, in_frame, in_mcap
 
 from heliograph.errors import HeliographError
 from heliograph.io import open_recording
@@ -51,3 +52,29 @@ def test_damaged_file_gives_a_result_or_a_known_error(name, tmp_path):
         except HeliographError:
             continue
     assert read > 5
+
+
+STRUCTURED = {
+    "mcap": (in_mcap, lambda path: drive(4).mcap(path / "a.mcap")),
+    "mcap zstd": (in_mcap, lambda path: next(drive(4).ros2(path / "z", compression="storage").glob("*.mcap"))),
+    "mcap file": (in_frame, lambda path: next(drive(4).ros2(path / "f", compression="file").glob("*.zstd"))),
+    "ros 1 bag": (in_bag, lambda path: drive(4).ros1(path / "a.bag")),
+    "ros 1 bag bz2": (in_bag, lambda path: drive(4).ros1(path / "b.bag", "bz2")),
+}
+
+
+@pytest.mark.parametrize("name", STRUCTURED)
+def test_fields_that_lie_in_records_that_are_whole_give_a_result_or_a_known_error(name, tmp_path):
+    spoil, write = STRUCTURED[name]
+    whole = write(tmp_path)
+    data, rng, read = whole.read_bytes(), random.Random(name), 0
+    for _ in range(20):
+        path = tmp_path / f"damaged{''.join(whole.suffixes)}"
+        path.write_bytes(spoil(data, rng))
+        try:
+            with open_recording(path) as recording:
+                read += sum(1 for _ in recording.stream()) > 0
+                recording.summary()
+        except HeliographError:
+            continue
+    assert read > 1

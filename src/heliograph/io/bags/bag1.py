@@ -14,7 +14,7 @@ from rosbags.rosbag1.reader import decompressors
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
-from heliograph.guard.boundary import outside, outside_each
+from heliograph.guard.boundary import DAMAGE, outside, outside_each
 from heliograph.guard.limits import ReadLimits
 from heliograph.io.bags.storage import Channel, RawBytes, note, ros2_name
 from heliograph.io.bags.unpack import unpack
@@ -23,7 +23,6 @@ __all__ = ["Bag1Storage"]
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, CHUNK, CONNECTION = 0x02, 0x05, 0x07
-DAMAGE = (struct.error, ValueError, KeyError, EOFError, RuntimeError, OSError)
 
 
 def _header(body: memoryview) -> dict[str, bytes]:
@@ -90,8 +89,8 @@ class Bag1Storage:
         try:
             with outside(path):
                 reader.open()
-        except (FormatError, *DAMAGE) as error:
-            self._open_damaged(getattr(error, "reason", str(error)))
+        except FormatError as error:
+            self._open_damaged(error.reason)
         else:
             self._reader = reader
             self._open_indexed(reader)
@@ -175,8 +174,8 @@ class _Salvage:
     def messages(self, topics: frozenset[str], start_ns: int) -> Iterator[RawBytes]:
         """Yield in the order of a chunk's times; chunks follow each other as they were written."""
         for key, time_ns, data in self._messages({}):
-            channel = self._by_id[key]
-            if channel.topic in topics and time_ns >= start_ns:
+            channel = self._by_id.get(key)  # of none: a message before its connection, or without one
+            if channel is not None and channel.topic in topics and time_ns >= start_ns:
                 yield channel, time_ns, data
 
     def _chunks(self) -> Iterator[tuple[dict[str, bytes], memoryview]]:
@@ -196,10 +195,10 @@ class _Salvage:
     def _messages(self, names: dict[int, tuple[str, str]]) -> Iterator[tuple[int, int, memoryview]]:
         try:
             for header, data in self._chunks():
-                if header["op"][0] != CHUNK:
+                if header.get("op", b"")[:1] != bytes([CHUNK]):
                     continue
                 found: list[tuple[int, int, int, memoryview]] = []
-                kind = header["compression"].decode(errors="replace")
+                kind = header.get("compression", b"").decode(errors="replace")
                 self._read_chunk(unpack(kind, data, self._limits, size=_size(header), cut_off=True), names, found)
                 heapq.heapify(found)
                 while found:
@@ -222,5 +221,5 @@ class _Salvage:
                     (key,) = struct.unpack("<I", header["conn"])
                     seconds, nanoseconds = struct.unpack("<II", header["time"])
                     found.append((seconds * 1_000_000_000 + nanoseconds, len(found), key, data))
-        except (EOFError, struct.error, KeyError):
+        except DAMAGE:
             return  # the cut-off end of an unfinished chunk

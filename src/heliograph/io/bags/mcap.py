@@ -19,6 +19,7 @@ from typing import BinaryIO
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
+from heliograph.guard.boundary import DAMAGE
 from heliograph.guard.limits import MAX_NS, ReadLimits
 from heliograph.io.bags.storage import Channel, RawBytes, merge_lazily, note, ros2_name
 from heliograph.io.bags.unpack import unpack
@@ -42,7 +43,6 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 END_OF_TIME_NS = MAX_NS
 CLOCK_SET_BACK_NS = 800_000_000  # by which no recorder writes a message late
 ENCODINGS = {"cdr": "cdr", "ros1": "ros1"}
-DAMAGE = (struct.error, ValueError, IndexError, EOFError, RuntimeError, OSError, OverflowError)
 
 
 _USUAL = ReadLimits()
