@@ -17,7 +17,7 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "heliograph"
 
 # What everybody may import; `atomic`, `chi_square`, `plugins`, `config` and its helpers know only the errors,
 # `geodesy` nothing.
-COMMON = {"arrays", "atomic", "chi_square", "errors", "geodesy", "guard", "plugins", "_core"}
+COMMON = {"arrays", "atomic", "chi_square", "errors", "geodesy", "guard", "plugins", "snapshots", "_core"}
 COMMON |= {"config", "config_checks", "config_registration", "config_toml"}
 SENSING = {"lie", "data"}
 ODOMETRY = SENSING | {"cloud", "imu", "maps", "registration"}
@@ -34,6 +34,7 @@ ALLOWED: dict[str, set[str]] = {
     "geodesy": set(),
     "guard": {"errors", "config"},
     "plugins": {"errors"},
+    "snapshots": {"arrays", "atomic", "errors", "guard"},
     "support": {"errors", "atomic", "guard"},
     "config_checks": {"errors"},
     "config_registration": {"errors", "config_checks"},
@@ -60,7 +61,12 @@ ALLOWED: dict[str, set[str]] = {
     "checks": COMMON | SENSING | {"metrics"},
     "output": COMMON | SENSING | {"io", "maps", "checks"},
     "comparison": COMMON | SENSING | {"io", "metrics"},
-    "pipeline": COMMON | SLAM | {"slam", "io", "calibration", "checks", "metrics", "output", "repair"},
+    "account": COMMON | SLAM | {"slam", "checks", "output"},
+    "checkpoint": COMMON | SLAM | {"slam", "checks", "output"},
+    "pipeline": COMMON
+    | SLAM
+    | {"slam", "io", "calibration", "checks", "metrics", "output", "repair"}
+    | {"account", "checkpoint"},
     "examination": COMMON | SLAM | {"io", "checks"},
     "repair": COMMON | SLAM | {"calibration", "checks", "examination"},
     "report": COMMON | SENSING | {"imu", "io", "calibration", "output", "checks", "metrics"},
@@ -68,7 +74,7 @@ ALLOWED: dict[str, set[str]] = {
     "cli": COMMON
     | SLAM
     | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report"}
-    | {"comparison", "localization", "revision", "support", "survey", "lab"},
+    | {"comparison", "localization", "revision", "support", "survey", "lab", "checkpoint"},
 }
 """Room below `heliograph` -> the rooms that it may import."""
 
@@ -107,23 +113,29 @@ STOREYS: dict[str, dict[str, set[str]]] = {
         "registry": {"protocol", "filter", "loam"},
     },
     "slam": {
-        "covariances": set(),
+        "growing_rows": set(),
+        "covariances": {"growing_rows"},
         "store": set(),
+        "descriptor_file": {"places"},
         "keyframes": {"covariances"},
         "places": set(),
         "loops": {"places"},
-        "loop_search": {"covariances", "loops", "places", "store"},
+        "loop_search": {"covariances", "descriptor_file", "loops", "places", "store"},
         "pose_factors": set(),
         "inertial_factors": set(),
         "gnss": {"covariances"},
         "wheels": {"inertial_factors"},
+        "past_steps": {"growing_rows", "inertial_factors"},
+        "step_log": {"inertial_factors", "past_steps", "pose_factors", "wheels"},
         "back_end": {
             "covariances",
             "gnss",
             "inertial_factors",
             "loop_search",
             "loops",
+            "past_steps",
             "pose_factors",
+            "step_log",
             "store",
             "wheels",
         },

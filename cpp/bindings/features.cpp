@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
 #include "bindings/bindings.hpp"
+#include "bindings/state_bytes.hpp"
 #include "cloud/scan_features.hpp"
 #include "cloud/scan_lines.hpp"
 #include "maps/feature_map.hpp"
@@ -115,6 +116,8 @@ void bind_features(nb::module_& m) {
       .def("clear", &FeatureMap::clear)
       .def("match", &matched, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "sigma"_a, "threads"_a)
       .def("cells", [](const FeatureMap& map) { return to_numpy<double>(map.cells(), {map.size(), 4}); })
+      .def("save", [](const FeatureMap& map) { return to_bytes(map.save()); })
+      .def("load", [](FeatureMap& map, const nb::bytes& state) { map.load(bytes_of(state)); }, "state"_a)
       .def("__len__", &FeatureMap::size)
       .def("bytes", &FeatureMap::bytes);
 }

@@ -2,6 +2,7 @@
 #include <nanobind/stl/optional.h>
 
 #include "bindings/bindings.hpp"
+#include "bindings/state_bytes.hpp"
 #include "maps/global_map.hpp"
 #include "maps/voxel_map.hpp"
 
@@ -90,6 +91,8 @@ void bind_maps(nb::module_& m) {
              map.forget_unseen(insertions);
            },
            "insertions"_a)
+      .def("save", [](const VoxelMap& map) { return to_bytes(map.save()); })
+      .def("load", [](VoxelMap& map, const nb::bytes& state) { map.load(bytes_of(state)); }, "state"_a)
       .def("__len__", &VoxelMap::size)
       .def("bytes", &VoxelMap::bytes)
       .def("planes", &voxel_planes);

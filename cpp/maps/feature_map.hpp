@@ -45,6 +45,10 @@ class FeatureMap {
 
   FeatureMatch match(const double* query_odom, double sigma) const;
 
+  // Its state as bytes, and an empty map of the same settings that takes it up: both then go on to the same bits.
+  std::vector<uint8_t> save() const;
+  void load(std::span<const uint8_t> bytes);
+
   FeatureKind kind() const { return settings_.kind; }
   size_t size() const { return cells_.size(); }
   size_t bytes() const { return index_.bytes() + coarse_.bytes() + cells_.capacity() * sizeof(Cell) + coarse_cells_.capacity() * sizeof(Coarse); }

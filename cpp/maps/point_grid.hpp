@@ -5,6 +5,7 @@
 #include <span>
 #include <vector>
 
+#include "util/byte_stream.hpp"
 #include "util/flat_index.hpp"
 
 namespace heliograph {
@@ -35,6 +36,10 @@ class PointGrid {
 
   // Keeps the cubes that were seen in insertion `oldest` or later.
   void forget_before(uint32_t oldest);
+
+  // Its state, and an empty grid that takes it up; `insertions` have been made by then.
+  void save(ByteWriter& to) const;
+  void load(ByteReader& from, uint32_t insertions);
 
   double size() const { return size_; }
   const FlatIndex& index() const { return index_; }

@@ -52,6 +52,10 @@ class VoxelMap {
   // Keeps the cubes that a point of one of the last `insertions` insertions lay in, frozen ones too.
   void forget_unseen(uint32_t insertions);
 
+  // Its state as bytes, and an empty map of the same settings that takes it up: both then go on to the same bits.
+  std::vector<uint8_t> save() const;
+  void load(std::span<const uint8_t> bytes);
+
   size_t size() const { return planes_.size(); }
   size_t bytes() const;
   const VoxelMapSettings& settings() const { return settings_; }

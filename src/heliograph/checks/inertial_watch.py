@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from heliograph.arrays import Array
@@ -10,6 +12,7 @@ from heliograph.checks.imu import IN_RUN_CHECKS
 from heliograph.checks.records import VERDICTS, CheckedMotion, Finding, ImuRecord
 from heliograph.config import CheckConfig
 from heliograph.data import ImuBatch, Rig, ScanResult, Trajectory
+from heliograph.snapshots import Stateful, array
 
 __all__ = ["InertialWatch", "merged"]
 
@@ -18,7 +21,7 @@ _SHORTEST_S = 5.0  # window at a recording's end that is worth a look
 _MIN_SCANS, _MATCHED_SHARE = 30, 0.8
 
 
-class InertialWatch:
+class InertialWatch(Stateful):
     """Keeps the samples and poses of one window at a time, and what the checks said of those before.
 
     The poses are the filter's, so the IMU has a part in them; but thousands of points outvote it, and what it predicts
@@ -29,6 +32,16 @@ class InertialWatch:
     config : CheckConfig
         From where on a finding warns or fails.
     """
+
+    _STATE: ClassVar = {
+        "windows": [[Finding]],
+        "_imu": [ImuBatch],
+        "_stamps": [int],
+        "_poses": [array(np.float64, 4, 4)],
+        "_matched": [bool],
+        "_mounting": array(np.float64, 4, 4),
+        "_begin_ns": (int, None),
+    }
 
     def __init__(self, config: CheckConfig) -> None:
         self.windows: list[tuple[Finding, ...]] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from heliograph.checks.surfaces import SurfaceWatch
 from heliograph.checks.verdicts import RunEvidence, check_run
 from heliograph.config import CheckConfig
 from heliograph.data import GraphAccount, ImuBatch, Message, ScanResult, StartAccount
+from heliograph.snapshots import PART, Stateful, array
 
 __all__ = ["RunWatch"]
 
@@ -26,7 +28,7 @@ _MENDABLE = frozenset({
 })  # fmt: skip
 
 
-class RunWatch:
+class RunWatch(Stateful):
     """Follows a run and gives the six verdicts at its end.
 
     Parameters
@@ -35,6 +37,18 @@ class RunWatch:
         What the run rests on.
     config : CheckConfig
     """
+
+    _STATE: ClassVar = {
+        "_inertial": PART,
+        "_walls": PART,
+        "_biases": [array(np.float64, 6)],
+        "_bias_every": int,
+        "_seen": int,
+        "_degenerate": int,
+        "_disputed": int,
+        "_last_bias": array(np.float64, 6),
+        "_rms": float,
+    }
 
     def __init__(self, sensors: frozenset[str], config: CheckConfig) -> None:
         self._sensors, self._config = sensors, config

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array
 from heliograph.data import ScanResult
 from heliograph.lie import so3
+from heliograph.snapshots import Stateful, array, fixed
 
 __all__ = ["SurfaceWatch", "Thickness"]
 
@@ -53,8 +55,17 @@ class Thickness:
     speed: float
 
 
-class SurfaceWatch:
+class SurfaceWatch(Stateful):
     """Gathers a few points of every third scan and measures the walls that they lie on, window by window."""
+
+    _STATE: ClassVar = {
+        "windows": [Thickness],
+        "_points": [array(np.float64, None, 3)],
+        "_classes": [array(np.int64, None)],
+        "_begin": (fixed(int, array(np.float64, 3)), None),
+        "_previous": (ScanResult, None),
+        "_way": float,
+    }
 
     def __init__(self) -> None:
         self.windows: list[Thickness] = []

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from heliograph.cli.terminal import plain, raw
 from heliograph.data import ScanResult
 from heliograph.output import RunSummary, Sink
+from heliograph.snapshots import Snapshot
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -32,7 +33,7 @@ class ProgressSink(Sink):
 
     def __init__(self, total: int | None, label: str) -> None:
         self.total, self.label = total, plain(label)
-        self._done = 0
+        self._done = self._before = 0
         self._start = self._shown = time.monotonic()
         self._bar = _bar(total, self.label) if sys.stderr.isatty() else None
 
@@ -49,9 +50,17 @@ class ProgressSink(Sink):
             left = f", {(self.total - self._done) / self._rate(now):.0f} s left" if self.total else ""
             print(f"{self.label}: {self._done}{of} scans, {self._rate(now):.0f} a second{left}", file=sys.stderr)
 
+    def snapshot(self) -> Snapshot:
+        """Return how many are done."""
+        return {"done": self._done}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on counting from there."""
+        self._done = self._before = int(snapshot["done"])
+
     def restart(self) -> None:
         """Count from nothing again."""
-        self._done, self._start = 0, time.monotonic()
+        self._done, self._before, self._start = 0, 0, time.monotonic()
 
     def close(self, summary: RunSummary) -> None:  # noqa: ARG002 - the protocol's
         """End the bar."""
@@ -61,7 +70,7 @@ class ProgressSink(Sink):
             self._bar.stop()
 
     def _rate(self, now: float) -> float:
-        return self._done / max(now - self._start, 1e-9)
+        return (self._done - self._before) / max(now - self._start, 1e-9)
 
 
 def _bar(total: int | None, label: str) -> Progress:

@@ -11,6 +11,7 @@ import typer
 from heliograph.cli import options
 from heliograph.cli.closing import print_closing
 from heliograph.cli.options import MapFormat
+from heliograph.cli.resume import checkpoints_of, finished_run, is_run, taken_up
 from heliograph.cli.survey import check_coordinate_system, deliver_run
 
 if TYPE_CHECKING:
@@ -29,6 +30,9 @@ def run(
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_heliograph.")
     ] = None,
     overwrite: options.Overwrite = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a run that was cut off, from its last checkpoint.")
+    ] = False,
     reader: options.Reader = None,
     odometry: Annotated[
         str | None, typer.Option("--odometry", metavar="NAME|FILE", help="Estimator, or poses of another system.")
@@ -86,7 +90,12 @@ def run(
     )
     if crs is not None:
         check_coordinate_system(crs)
-    folder, interrupted = execute(recordings, resolved, output, overwrite=overwrite, progress=not quiet)
+    if resume and overwrite:
+        raise typer.BadParameter("--resume goes on with a run, --overwrite begins it anew: give one of them")
+    if resume and (facts := finished_run(destination(recordings, output))) is not None:
+        print_closing(facts, destination(recordings, output), json=json, quiet=quiet)
+        return
+    folder, interrupted = execute(recordings, resolved, output, overwrite=overwrite, progress=not quiet, resume=resume)
     print_closing(folder.facts, folder.path, json=json, quiet=quiet)
     if crs is not None:
         deliver_run(folder.path, crs)
@@ -95,9 +104,15 @@ def run(
 
 
 def execute(
-    recordings: list[Path], config: RunConfig, output: Path | None, *, overwrite: bool, progress: bool
+    recordings: list[Path],
+    config: RunConfig,
+    output: Path | None,
+    *,
+    overwrite: bool,
+    progress: bool,
+    resume: bool = False,
 ) -> tuple[RunFolder, int]:
-    """Open a recording, run the pipeline on it, and write its folder.
+    """Open a recording, run the pipeline on it, and write its folder; or go on with a run that was cut off.
 
     Returns
     -------
@@ -119,12 +134,20 @@ def execute(
     began = time.perf_counter()
     with interruptible() as stop, open_recording(recordings, config.input, sensors=config.sensors) as recording:
         pipeline.sensors_in_use(recording, config)  # a wrong choice is told before a folder is made
-        with _folder(recording, config, recordings, output, overwrite=overwrite) as folder:
+        checkpoints = checkpoints_of(destination(recordings, output), config, recordings)
+        resume, overwrite = resume and taken_up(checkpoints), overwrite or (resume and is_run(checkpoints.folder))
+        with _folder(recording, config, recordings, output, overwrite=overwrite, resume=resume) as folder:
             opening = time.perf_counter() - began
             bar = [ProgressSink(recording.total_scans, folder.name)] if progress else []
             try:
                 summary = pipeline.run(
-                    recording, config, sinks=[*bar, folder], stop=stop, opening_seconds=opening, folder=folder.path
+                    recording,
+                    config,
+                    sinks=[*bar, folder],
+                    stop=stop,
+                    opening_seconds=opening,
+                    folder=folder.path,
+                    checkpoints=checkpoints,
                 )
             except OutputError as error:
                 done = folder.record.summary.scans if folder.record else 0
@@ -134,8 +157,13 @@ def execute(
     return folder, stop.code if summary.interrupted else 0
 
 
+def destination(recordings: list[Path], output: Path | None) -> Path:
+    """Return the folder that a run writes."""
+    return output or Path(f"{recordings[0].resolve().stem}_heliograph")
+
+
 def _folder(
-    recording: Recording, config: RunConfig, paths: list[Path], output: Path | None, *, overwrite: bool
+    recording: Recording, config: RunConfig, paths: list[Path], output: Path | None, *, overwrite: bool, resume: bool
 ) -> RunFolder:
     """Prepare the output folder for a recording."""
     import numpy as np
@@ -160,7 +188,7 @@ def _folder(
         }
 
     return RunFolder(
-        output or Path(f"{name}_heliograph"),
+        destination(paths, output),
         name=name if name not in _GENERIC_NAMES else f"{paths[0].resolve().parent.name}/{name}",
         config=dump_config(config),
         output=config.output,
@@ -170,4 +198,5 @@ def _folder(
         facts=facts,
         finishers=(write_report,),
         overwrite=overwrite,
+        resume=resume,
     )

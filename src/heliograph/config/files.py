@@ -91,6 +91,9 @@ class OutputConfig:
         back-end moves the run.
     keep_submaps : bool
         Whether ``submaps.bin``, the points keyframe by keyframe, stays in the folder.
+    checkpoint_interval : float
+        How long of the recording from one checkpoint to the next, which `run --resume` goes on from after the run was
+        cut off [s]; 0: none is written.
     hash_inputs : str
         What of the recording ``run.json`` has a checksum of: ``"full"``, all of it; ``"sampled"``, 16 pieces a file;
         ``"auto"``, all up to 1 GiB; ``"none"``.
@@ -104,10 +107,11 @@ class OutputConfig:
     keyframe_angle_deg: float = 30.0
     keyframe_interval: float = 5.0
     keep_submaps: bool = False
+    checkpoint_interval: float = 30.0
     hash_inputs: str = "auto"
 
     def __post_init__(self) -> None:
         check_range(self, "map_voxel", "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", above=0.0)
-        check_range(self, "surface_thickness", low=0.0)
+        check_range(self, "surface_thickness", "checkpoint_interval", low=0.0)
         check_choice(self, "hash_inputs", "auto", "full", "sampled", "none")
         check_choice(self, "map_format", "ply", "pcd", "laz")

@@ -40,6 +40,9 @@ class SlamConfig:
     loop_worth : float
         Loops are looked for where odometry, and the loops that stand, leave the position open by at least this,
         one-sigma [m].
+    window : int
+        Keyframes whose velocities and biases the graph keeps; what IMU and LiDAR said of a step before those is
+        summarised as a step of poses, which takes a third of the memory; 0: all are kept.
     pose_rotation_sigma_deg, pose_position_sigma : float
         What poses read from a file may drift over a metre; it grows with the root of the way [deg], [m].
     """
@@ -57,6 +60,7 @@ class SlamConfig:
     loop_every: int = 2
     loop_pieces: int = 4
     loop_worth: float = 0.03
+    window: int = 3000
     pose_rotation_sigma_deg: float = 0.5
     pose_position_sigma: float = 0.05
 
@@ -64,6 +68,6 @@ class SlamConfig:
         check_range(self, "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", "cloud_voxel", above=0.0)
         check_range(self, "step_rotation_sigma_deg", "step_position_sigma", "level_sigma_deg", above=0.0)
         check_range(self, "keyframe_overlap", low=0.0, high=1.0)
-        check_range(self, "loop_worth", low=0.0)
+        check_range(self, "loop_worth", "window", low=0)
         check_range(self, "loop_every", "loop_pieces", low=1)
         check_range(self, "pose_rotation_sigma_deg", "pose_position_sigma", above=0.0)

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from heliograph import _core
 from heliograph.arrays import as_array, as_points, as_pose, frozen, require_finite
 from heliograph.config import LoamConfig
+from heliograph.errors import DataError
+from heliograph.snapshots import Snapshot, require
 
 __all__ = ["FeatureMap", "FeaturePoints"]
 
@@ -50,8 +52,12 @@ class FeatureMap:
     """
 
     def __init__(self, config: LoamConfig | None = None, *, radius: float = 150.0) -> None:
-        self.config = c = config if config is not None else LoamConfig()
+        self.config = config if config is not None else LoamConfig()
         self._radius = radius
+        self._begin()
+
+    def _begin(self) -> None:
+        c = self.config
         self.edges = _core.FeatureMap(
             True, c.edge_voxel, c.max_points, c.neighbours, c.edge_reach, c.max_thickness, c.min_spread * c.edge_voxel
         )
@@ -94,6 +100,26 @@ class FeatureMap:
         """Forget everything."""
         self.edges.clear()
         self.planes.clear()
+
+    def snapshot(self) -> Snapshot:
+        """Return what further insertions and queries depend on."""
+        return {"edges": self.edges.save(), "planes": self.planes.save()}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the state of another map of the same settings, to the bit.
+
+        Raises
+        ------
+        DataError
+            It is none of such a map, or damaged.
+        """
+        require(self, snapshot, {"edges": bytes, "planes": bytes})
+        try:
+            self._begin()
+            self.edges.load(snapshot["edges"])
+            self.planes.load(snapshot["planes"])
+        except ValueError as error:
+            raise DataError(f"the state of a map is of other settings or damaged ({error})") from error
 
     @property
     def nbytes(self) -> int:

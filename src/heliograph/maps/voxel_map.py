@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from heliograph import _core
 from heliograph.arrays import as_array, as_points, as_pose, require_finite
 from heliograph.config import MapConfig
+from heliograph.errors import DataError
 from heliograph.maps.protocol import PlaneMatches
+from heliograph.snapshots import Snapshot, require
 
 __all__ = ["VoxelMap"]
 
@@ -89,6 +91,25 @@ class VoxelMap:
     def table(self) -> NDArray[np.float64]:
         """Return one row a cube: level, count, centre 3, normal 3, centroid 3, variance (< 0: no plane), 1 / spread."""
         return np.asarray(self.native.planes())
+
+    def snapshot(self) -> Snapshot:
+        """Return what further insertions and queries depend on."""
+        return {"native": self.native.save()}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the state of another map of the same settings, to the bit.
+
+        Raises
+        ------
+        DataError
+            It is none of such a map, or damaged.
+        """
+        require(self, snapshot, {"native": bytes})
+        try:
+            self.clear()
+            self.native.load(snapshot["native"])
+        except ValueError as error:
+            raise DataError(f"the state of a map is of other settings or damaged ({error})") from error
 
     @property
     def nbytes(self) -> int:

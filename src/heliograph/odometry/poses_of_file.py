@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from heliograph.errors import DataError
 from heliograph.lie import interpolate_se3, se3, so3
 from heliograph.odometry.pose_result import pose_result
 from heliograph.odometry.protocol import Odometry
+from heliograph.snapshots import Stateful, array
 
 __all__ = ["PoseFileOdometry"]
 
@@ -23,7 +25,7 @@ _NEAR_NS = 2_000_000  # a pose this close to a scan's stamp is the scan's own
 _LONGEST_GAP_NS = 1_500_000_000  # poses farther apart are not interpolated
 
 
-class PoseFileOdometry(Odometry):
+class PoseFileOdometry(Odometry, Stateful):
     """Gives each scan the pose that a trajectory has at its header stamp; the clouds are taken as de-skewed.
 
     Between two poses it interpolates; a scan outside of them, or in a gap, is left out and counted. What the poses may
@@ -43,6 +45,15 @@ class PoseFileOdometry(Odometry):
     DataError
         The trajectory holds no pose.
     """
+
+    _STATE: ClassVar = {
+        "events": [Event],
+        "_before": (ScanResult, None),
+        "_covariance": array(np.float64, 6, 6),
+        "_count": int,
+        "_left_out": int,
+        "_first_left_ns": int,
+    }
 
     def __init__(self, trajectory: Trajectory, config: RunConfig, T_imu_lidar: Array) -> None:
         if len(trajectory.stamps_ns) == 0:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from heliograph.config import ImuConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Scan
+from heliograph.snapshots import PART, Stateful
 
 __all__ = ["ImuBuffer", "Packet", "Sequencer"]
 
@@ -24,8 +26,15 @@ class Packet:
     end_ns: int
 
 
-class ImuBuffer:
+class ImuBuffer(Stateful):
     """The recent inertial samples, as one growing and forgetting array."""
+
+    _STATE: ClassVar = {
+        "_held": ImuBatch,
+        "_pending": [ImuBatch],
+        "last_ns": (int, None),
+        "period_ns": int,
+    }
 
     def __init__(self) -> None:
         self._held = ImuBatch.joined([])
@@ -74,7 +83,7 @@ class ImuBuffer:
         self._held = self._held[first:]
 
 
-class Sequencer:
+class Sequencer(Stateful):
     """Orders messages into packets.
 
     A scan is ready once an IMU sample at or after its end has come, or messages have run one IMU period and
@@ -90,6 +99,14 @@ class Sequencer:
     interval_ns : int
         Length of packets without a LiDAR [ns].
     """
+
+    _STATE: ClassVar = {
+        "imu": PART,
+        "events": [Event],
+        "lead_ns": int,
+        "_waiting": [Scan],
+        "_last_end_ns": (int, None),
+    }
 
     def __init__(
         self, sensors: frozenset[str], *, patience_ns: int = _PATIENCE_NS, interval_ns: int = _INTERVAL_NS

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
 from heliograph.data import ScanResult
+from heliograph.snapshots import Stateful, array, fixed
 
 __all__ = ["BlindSpan", "BlindSpans"]
 
@@ -60,8 +62,16 @@ class BlindSpan:
         )
 
 
-class BlindSpans:
+class BlindSpans(Stateful):
     """Collects the stretches of a run as its results pass, in constant memory a stretch."""
+
+    _STATE: ClassVar = {
+        "_closed": [BlindSpan],
+        "_open": (BlindSpan, None),
+        "_before": array(np.float64, 3, 3),
+        "_from": array(np.float64, 3),
+        "_previous": (fixed(array(np.float64, 3), array(np.float64, 3, 3)), None),
+    }
 
     def __init__(self) -> None:
         self._closed: list[BlindSpan] = []

@@ -114,6 +114,7 @@ def final_facts(
         **({"graph": graph_facts(summary.graph)} if summary.graph is not None else {}),
         "checks": [finding_facts(finding) for finding in summary.findings],
         **({"repairs": [_repair(repair) for repair in summary.repairs]} if summary.repairs else {}),
+        **({"resumed": [{"at_scan": scans} for scans in summary.resumed]} if summary.resumed else {}),
         "blind_spans": [_blind(span) for span in summary.blind_spans],
         "level": _level(summary.level),
         **({"start": _start(summary.start)} if summary.start is not None else {}),

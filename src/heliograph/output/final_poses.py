@@ -77,10 +77,13 @@ class FinalPoses:
         if len(T) == 1:
             return np.broadcast_to(T, (len(stamps_ns), 4, 4))
         query = np.clip(stamps_ns, self.stamps_ns[0], self.stamps_ns[-1])
+        if len(query) == 0:
+            return np.zeros((0, 4, 4))
         k = np.clip(np.searchsorted(self.stamps_ns, query, side="right") - 1, 0, len(T) - 2)
         span = np.diff(self.stamps_ns)
         u = ((query - self.stamps_ns[k]) / span[k])[:, None]
-        first, middle, last = (twist[k] for twist in self._twists(T))
+        near = slice(max(int(k.min()) - 1, 0), int(k.max()) + 3)  # a block of a long run lies between few of them
+        first, middle, last = (twist[k - near.start] for twist in self._twists(T, near))
         T_bent = T[k]
         shares = ((1.0 - (1.0 - u) ** 3, first), ((3.0 - 2.0 * u) * u * u, middle), (u**3, last))
         for share, twist in shares:
@@ -90,12 +93,16 @@ class FinalPoses:
     def _at_keyframes(self) -> NDArray[np.float64]:
         return se3.compose(self.T_map_imu, se3.inverse(self.T_odom_imu))
 
-    def _twists(self, T: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
-        """Return the three twists (K - 1, 6) of each stretch, whose shares add up to it, in odom axes."""
+    def _twists(self, T: NDArray[np.float64], near: slice) -> tuple[NDArray[np.float64], ...]:
+        """Return the three twists of each stretch between some keyframes, whose shares add up to it, in odom axes.
+
+        The first and last of them are one further than is asked for, but where the run ends there.
+        """
+        T, T_odom_imu = T[near], self.T_odom_imu[near]
         step = se3.local(T[:-1], T[1:])
-        seconds = 1e-9 * np.diff(self.stamps_ns)[:, None]
+        seconds = 1e-9 * np.diff(self.stamps_ns[near])[:, None]
         velocity = np.zeros((len(T), 6))
-        velocity[1:-1] = _limited_mean(step[:-1] / seconds[:-1], step[1:] / seconds[1:], self.T_odom_imu[1:-1])
+        velocity[1:-1] = _limited_mean(step[:-1] / seconds[:-1], step[1:] / seconds[1:], T_odom_imu[1:-1])
         first, last = seconds * velocity[:-1] / 3.0, seconds * velocity[1:] / 3.0
         middle = se3.log(se3.exp(-first) @ se3.inverse(T[:-1]) @ T[1:] @ se3.exp(-last))
         return first, middle, last

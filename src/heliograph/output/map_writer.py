@@ -14,13 +14,17 @@ from heliograph.data import ScanResult
 from heliograph.errors import OutputError
 from heliograph.io.prefetch import prefetch
 from heliograph.lie import se3
-from heliograph.maps import GlobalMap, transformed
+from heliograph.maps import GlobalMap, MapCells, transformed
 from heliograph.output.background import Background
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.submaps import Submap, SubmapFile, read_submaps
+from heliograph.snapshots import Snapshot, array, fixed, require
 
 __all__ = ["MapWriter"]
 
+_STATE = {
+    "size": int, "submaps": int, "keyframe": (fixed(int, array(np.float64, 4, 4)), None), "cells": MapCells,
+}  # fmt: skip
 _READ_AHEAD = 2  # submaps
 
 
@@ -38,16 +42,40 @@ class MapWriter:
         Edge of the cubes, and when a keyframe comes.
     threaded : bool
         Whether a second thread may do some of the work; the result is the same.
+    earlier : Snapshot, optional
+        State of an earlier run's writer, which this one goes on from.
+
+    Raises
+    ------
+    DataError
+        ``earlier`` is no such state.
     """
 
-    def __init__(self, path: Path, config: OutputConfig, *, threaded: bool = False) -> None:
+    def __init__(
+        self, path: Path, config: OutputConfig, *, threaded: bool = False, earlier: Snapshot | None = None
+    ) -> None:
         self._config = config
-        self._file = SubmapFile(path, config.map_voxel)
+        if earlier is not None:
+            require(self, earlier, _STATE)
+        at, count = (None, 0) if earlier is None else (earlier["size"], earlier["submaps"])
+        self._file = SubmapFile(path, config.map_voxel, at=at, count=count)
         self._open = GlobalMap(config.map_voxel)
         self._keyframe: tuple[int, NDArray[np.float64]] | None = None
         self._full = self._released = False
         self._threads = 2 if threaded else 1
         self._background = Background(threaded=threaded)
+        if earlier is not None:
+            self._keyframe = earlier["keyframe"]
+            self._open.merge(earlier["cells"])
+
+    def snapshot(self) -> Snapshot:
+        """Return what the next scans are added to, and the size of the file, which is on the disk."""
+        self._background.wait()
+        self._file.settle()
+        return {
+            "size": self._file.nbytes, "submaps": self._file.count, "keyframe": self._keyframe,
+            "cells": self._open.cells(),
+        }  # fmt: skip
 
     @property
     def path(self) -> Path:

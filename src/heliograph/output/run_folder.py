@@ -17,16 +17,18 @@ from numpy.typing import NDArray
 from heliograph.atomic import check_output_directory, write_text
 from heliograph.config import OutputConfig
 from heliograph.data import ImuBatch, Message, OnlineCalibration, ScanResult
-from heliograph.errors import OutputError
+from heliograph.errors import DataError, OutputError
 from heliograph.io.files.clouds import write_cloud
 from heliograph.output.facts import final_facts
 from heliograph.output.lock import FolderLock
 from heliograph.output.map_writer import MapWriter
+from heliograph.output.raw_files import bring_back, drop_raw, keep_raw, remove_checkpoint
 from heliograph.output.record import RunRecord
 from heliograph.output.scan_log import ScanLog
 from heliograph.output.sink import Sink
 from heliograph.output.summary import RunSummary
 from heliograph.output.trajectories import FILES, TrajectoryFiles
+from heliograph.snapshots import PART, Snapshot, require
 
 __all__ = ["RunFolder"]
 
@@ -37,7 +39,19 @@ SUBMAPS = "submaps.bin"
 _NO_POINTS = np.zeros((0, 3), dtype=np.float32)
 _GRAPH = ("loops.csv", "gnss.csv", "graph.g2o", "graph.npz")
 _KEYFRAMES = "keyframes"
+_GROWING = (*FILES, SUBMAPS, "scans.csv")
+_MADE_AT_THE_END = (*_MAPS, *_GRAPH, "map.png", "map.pgw", "report.html")
 _OWN = (*FILES, *_MAPS, *_GRAPH, SUBMAPS, "map.png", "map.pgw", "scans.csv", "report.html", "config.toml", "run.json")
+
+
+_STATE = {
+    "count": int,
+    "calibration": (OnlineCalibration, None),
+    "writer_seconds": {str: float},
+    "trajectories": PART,
+    "log": PART,
+    "map": PART,
+}
 
 
 class RunFolder(Sink):
@@ -69,6 +83,8 @@ class RunFolder(Sink):
         Each takes the `RunRecord` and returns the paths of the files that it wrote.
     overwrite : bool
         Replace an earlier run.
+    resume : bool
+        Go on with a run that was cut off: its files stay, and `restore` opens them where its checkpoint knew them.
 
     Raises
     ------
@@ -89,11 +105,12 @@ class RunFolder(Sink):
         facts: Callable[[], Mapping[str, Any]] = dict,
         finishers: Sequence[Callable[[RunRecord], list[Path]]] = (),
         overwrite: bool = False,
+        resume: bool = False,
     ) -> None:
         self._created = not path.exists()
         self._lock = FolderLock(path) if path.is_dir() else None
         try:
-            self.path = check_output_directory(path, overwrite)
+            self.path = check_output_directory(path, overwrite or resume)
             self._lock = self._lock or FolderLock(path)
         except BaseException:
             self._unlock()
@@ -105,45 +122,96 @@ class RunFolder(Sink):
         self.writer_seconds: dict[str, float] = {}
         self.record: RunRecord | None = None
         self._map: MapWriter | None = None
+        self._trajectories: TrajectoryFiles | None = None
+        self._log = ScanLog(self.path / "scans.csv")
         self._count = 0
         self._calibration: OnlineCalibration | None = None
+        self._has_map, self._T_imu_body, self._threaded = has_map, T_imu_body, threaded
+        self._goes_on = resume
+        if resume:
+            return  # all stays as it is until it is known from where to go on
         with self._nothing_left_on_failure():
-            write_text(path / "config.toml", config)
-            write_text(path / "run.json", json.dumps({"status": "running", **self.facts}, indent=2, default=str) + "\n")
+            self._say_running()
             if has_map and output.map_format not in _OWN_FORMATS:
                 # What the format needs may not be installed; that must not come out after an hour's run.
                 write_cloud(self._map_path, np.zeros((1, 3), dtype=np.float32))
                 self._map_path.unlink()
-            self._has_map, self._T_imu_body, self._threaded = has_map, T_imu_body, threaded
             self._open_files()
 
-    def _open_files(self) -> None:
-        """Begin the files that grow with the run."""
+    def _say_running(self) -> None:
+        write_text(self.path / "config.toml", self.config)
+        text = json.dumps({"status": "running", **self.facts}, indent=2, default=str) + "\n"
+        write_text(self.path / "run.json", text)
+
+    def _open_files(self, earlier: Snapshot | None = None) -> None:
+        """Begin the files that grow with the run, or go on behind what an earlier one has written of them."""
         version = str(self.facts.get("versions", {}).get("heliograph", ""))
         stamp = "header stamp of a LiDAR message [s]" if self._has_map else "time of the pose [s]"
         self._trajectories = TrajectoryFiles(
-            self.path, body=self._output.body, T_imu_body=self._T_imu_body, version=version, stamp=stamp
+            self.path,
+            body=self._output.body,
+            T_imu_body=self._T_imu_body,
+            version=version,
+            stamp=stamp,
+            sizes=None if earlier is None else earlier["trajectories"].get("sizes"),
         )
         self._log = ScanLog(self.path / "scans.csv")
         if self._has_map:
-            self._map = MapWriter(self.path / SUBMAPS, self._output, threaded=self._threaded)
+            found = None if earlier is None else earlier["map"]
+            self._map = MapWriter(self.path / SUBMAPS, self._output, threaded=self._threaded, earlier=found)
+
+    def snapshot(self) -> Snapshot:
+        """Return what the next results are added to; what is written by then is on the disk."""
+        assert self._trajectories is not None
+        return {
+            "count": self._count,
+            "calibration": self._calibration,
+            "writer_seconds": self.writer_seconds,
+            "trajectories": self._trajectories.snapshot(),
+            "log": self._log.snapshot(),
+            "map": None if self._map is None else self._map.snapshot(),
+        }
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on with the files of an earlier run where its checkpoint knew them.
+
+        Raises
+        ------
+        DataError
+            It is no state of such a folder.
+        FormatError
+            A file does not hold what was written.
+        """
+        require(self, snapshot, _STATE)
+        if (snapshot["map"] is None) == self._has_map:
+            raise DataError("the state of a run's folder is one with other sensors")
+        bring_back(self.path, _GROWING)
+        self._open_files(snapshot)
+        assert self._trajectories is not None
+        self._trajectories.restore(snapshot["trajectories"])
+        self._log.restore(snapshot["log"])
+        self._count, self._calibration = snapshot["count"], snapshot["calibration"]
+        self.writer_seconds = snapshot["writer_seconds"]
+        for name in _MADE_AT_THE_END:
+            (self.path / name).unlink(missing_ok=True)
+        self._say_running()
 
     def restart(self) -> None:
         """Begin the files anew; what they held is gone."""
         self._release()
         with self._nothing_left_on_failure():
-            write_text(self.path / "config.toml", self.config)
-            write_text(self.path / "run.json", json.dumps({"status": "running", **self.facts}, indent=2, default=str))
+            self._say_running()
             self._map, self._count, self._calibration = None, 0, None
             self._open_files()
 
     def observe(self, message: Message) -> None:
         """Note the IMU's stamps."""
-        if isinstance(message, ImuBatch):
+        if isinstance(message, ImuBatch) and self._trajectories is not None:
             self._trajectories.observe(message)
 
     def add(self, result: ScanResult) -> None:
         """Write a scan's rows and add its points to the map."""
+        assert self._trajectories is not None
         with self._timed("trajectory"):
             self._trajectories.add(result)
         with self._timed("scans.csv"):
@@ -163,8 +231,11 @@ class RunFolder(Sink):
         if summary.scans == 0:
             self._discard()
             return
+        assert self._trajectories is not None
         failures: list[Exception] = []
         began = time.perf_counter()
+        with self._step("checkpoint", failures):
+            keep_raw(self.path, _GROWING)
         points, intensity = _NO_POINTS, None
         with self._step("map", failures):
             points, intensity = self._map_points(summary)
@@ -193,6 +264,8 @@ class RunFolder(Sink):
             written = [path for path in dict.fromkeys(self.files) if path.exists()]
             self.facts = final_facts(self.facts, self.record, written, self.writer_seconds, closing, failures)
             self._write_account()
+        if not (failures or summary.failure or summary.interrupted):
+            remove_checkpoint(self.path)
         self._unlock()
         if failures:
             raise failures[0]
@@ -204,7 +277,7 @@ class RunFolder(Sink):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Release the files of a run that never came to its `close`; without a scan, remove them."""
-        if self.record is None and self._count == 0:
+        if self.record is None and self._count == 0 and not self._goes_on:
             self._discard()
         else:
             self._release()
@@ -221,6 +294,7 @@ class RunFolder(Sink):
         points, intensity = self._map.points(summary.final)
         if summary.failure:
             self._map.release(keep=False)
+            drop_raw(self.path, SUBMAPS)
         return points, intensity
 
     def _write_map(self, points: NDArray[np.float32], intensity: NDArray[np.float32] | None) -> None:
@@ -232,6 +306,7 @@ class RunFolder(Sink):
                 write_cloud(self._map_path, points, intensity)
         except OutputError:
             self._map.release(keep=False)
+            drop_raw(self.path, SUBMAPS)
             write_cloud(self._map_path, points, intensity)
         self.files += [self._map_path] if len(points) else []
         not_merged = not len(points) and self._map.submaps > 0
@@ -262,7 +337,8 @@ class RunFolder(Sink):
         self._remove()
 
     def _release(self) -> None:
-        self._trajectories.release()
+        if self._trajectories is not None:
+            self._trajectories.release()
         self._log.release()
         if self._map is not None:
             self._map.release(keep=True)
@@ -270,6 +346,7 @@ class RunFolder(Sink):
     def _clear(self) -> None:
         for name in _OWN:
             (self.path / name).unlink(missing_ok=True)
+        remove_checkpoint(self.path)
         keyframes = self.path / _KEYFRAMES
         if (keyframes / "journal.jsonl").is_file():
             shutil.rmtree(keyframes, ignore_errors=True)

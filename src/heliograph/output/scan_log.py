@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.atomic import atomic_path
 from heliograph.data import OnlineCalibration, ScanResult
-from heliograph.errors import FormatError
+from heliograph.errors import DataError, FormatError
 from heliograph.io.files.csvs import CsvWriter
 from heliograph.lie import so3
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.level import Level
+from heliograph.snapshots import Snapshot, array, require
 
 __all__ = ["ScanLog", "ScanTable", "rewrite_scans"]
 
@@ -66,6 +68,11 @@ CALIBRATION = (
     "sigma_imu_drift_ppm",
     "directions_kept",
 )
+_REMEMBERED = ("integers", "floats", "pose_covariances", "rotations", "calibrations")  # rows of arrays
+_STATE = {
+    **dict.fromkeys(_REMEMBERED[1:], np.ndarray), "integers": (array(np.int64, None, len(INTEGERS)), array(float, 0)),
+    "statuses": np.ndarray, "timings": np.ndarray, "stages": [str], "first_stages": [str], "size": (int, None),
+}  # fmt: skip
 # Columns in the odom frame, which turn when gravity is re-estimated at the end or a back-end moves the scan.
 ODOM_VECTORS = ("weak_direction", "velocity", "position")
 
@@ -161,6 +168,43 @@ class ScanLog:
             self._writer = CsvWriter(self.path, self._columns())
         self._writer.append(self._row(integers, floats, len(self._integers) - 1))
 
+    def snapshot(self) -> Snapshot:
+        """Return all rows, and the size of the file, which is on the disk."""
+        columns = {name: np.array(getattr(self, f"_{name}")) for name in _REMEMBERED}
+        stages = tuple(dict.fromkeys(stage for timings in self._timings for stage in timings))
+        timings = np.array([[timings.get(stage, np.nan) for stage in stages] for timings in self._timings])
+        first = () if self._writer is None else self._stages
+        return {
+            **columns, "statuses": np.array(self._statuses, dtype=np.str_), "timings": timings, "stages": stages,
+            "first_stages": first, "size": None if self._writer is None else self._writer.size,
+        }  # fmt: skip
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the rows of an earlier log, and go on behind those of its file.
+
+        Raises
+        ------
+        DataError
+            It is none of a log.
+        FormatError
+            The file does not hold them.
+        """
+        require(self, snapshot, _STATE)
+        integers, stages = snapshot["integers"], snapshot["stages"]
+        if any(len(snapshot[name]) not in (0, len(integers)) for name in (*_REMEMBERED, "statuses", "timings")):
+            raise DataError("the state of a log has columns of several lengths")
+        self._integers = [tuple(row) for row in integers.tolist()] if len(integers) else []
+        for name in _REMEMBERED[1:]:
+            setattr(self, f"_{name}", list(snapshot[name]))
+        self._statuses = snapshot["statuses"].tolist()
+        self._timings = [
+            {stage: ms for stage, ms in zip(stages, row, strict=True) if ms == ms}
+            for row in snapshot["timings"].tolist()
+        ]
+        if snapshot["size"] is not None:
+            self._stages = snapshot["first_stages"]
+            self._writer = CsvWriter(self.path, self._columns(), at=snapshot["size"])
+
     def flush(self) -> None:
         """Hand the rows so far to the operating system."""
         if self._writer is not None:
@@ -234,7 +278,7 @@ class ScanLog:
         return floats
 
     def _rewrite(self, floats: NDArray[np.float64]) -> None:
-        with CsvWriter(self.path, self._columns()) as writer:
+        with atomic_path(self.path) as temporary, CsvWriter(temporary, self._columns()) as writer:
             for number, (integers, row) in enumerate(zip(self._integers, floats, strict=True)):
                 writer.append(self._row(integers, row, number))
 

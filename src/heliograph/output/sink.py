@@ -6,6 +6,7 @@ from typing import Protocol
 
 from heliograph.data import Message, ScanResult
 from heliograph.output.summary import RunSummary
+from heliograph.snapshots import Snapshot
 
 __all__ = ["Sink"]
 
@@ -33,6 +34,14 @@ class Sink(Protocol):
 
     def restart(self) -> None:
         """Forget all that came: the recording was found to be faulty, and comes again from the start, mended."""
+        return
+
+    def snapshot(self) -> Snapshot:
+        """Return what the next results depend on, for a run that goes on after it was cut off."""
+        return {}
+
+    def restore(self, snapshot: Snapshot) -> None:  # noqa: ARG002
+        """Take up what `snapshot` of an earlier one returned, in place of all that came before it."""
         return
 
     def close(self, summary: RunSummary) -> None:  # noqa: ARG002

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import frozen
 from heliograph.atomic import output_error, output_errors
 from heliograph.errors import FormatError
+from heliograph.io.files.rows import opened_at
 from heliograph.maps import MapCells
 
 __all__ = ["Submap", "SubmapFile", "read_submaps", "read_voxel"]
@@ -65,6 +67,8 @@ class SubmapFile:
         File to create; an existing one is replaced.
     voxel : float
         Edge of the cubes [m].
+    at, count : int
+        Bytes of a file that is there, and submaps in them: it goes on behind those.
 
     Raises
     ------
@@ -72,8 +76,11 @@ class SubmapFile:
         The file cannot be created or written; what a failed write left of a submap is cut off.
     """
 
-    def __init__(self, path: Path, voxel: float) -> None:
-        self.path, self.count, self.nbytes = path, 0, 0
+    def __init__(self, path: Path, voxel: float, *, at: int | None = None, count: int = 0) -> None:
+        self.path, self.count, self.nbytes = path, count, at or 0
+        if at is not None:
+            self._file = opened_at(path, at)
+            return
         with output_errors(path):
             self._file = io.FileIO(path, "w")
         self._write([_FILE.pack(_MAGIC, voxel)])
@@ -82,6 +89,11 @@ class SubmapFile:
         """Write a submap and hand it to the operating system."""
         self._write(_packed(submap))
         self.count += 1
+
+    def settle(self) -> None:
+        """Have the operating system put it on the disk itself."""
+        with output_errors(self.path):
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
         """Release the file; a second call does nothing."""

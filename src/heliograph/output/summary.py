@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from heliograph.output.blind_spans import BlindSpan, BlindSpans
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.level import Level
 from heliograph.output.reasons import Reason
+from heliograph.snapshots import PART, Stateful, array, fixed
 
 __all__ = ["RunSummary", "Tally", "doubts_of", "fold_events", "judge"]
 
@@ -85,6 +87,8 @@ class RunSummary:
         The six verdicts of the checks inside the run.
     repairs : tuple of SensorRepair
         What was mended before the run.
+    resumed : tuple of int
+        Scans that were done each time that the run was resumed after it had been cut off.
     """
 
     status: str = "ok"
@@ -112,6 +116,7 @@ class RunSummary:
     failure: str = ""
     findings: tuple[Finding, ...] = ()
     repairs: tuple[SensorRepair, ...] = ()
+    resumed: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -234,8 +239,25 @@ def fold_events(events: Iterable[Event]) -> tuple[Event, ...]:
     return tuple(folded.values())
 
 
-class Tally:
+class Tally(Stateful):
     """Adds results up as they pass, in constant memory."""
+
+    _STATE: ClassVar = {
+        "scans": int,
+        "statuses": {str: int},
+        "held": int,
+        "against_imu": int,
+        "stage_totals": {str: float},
+        "distance": float,
+        "weakest": fixed(float, array(np.float64, 3), int),
+        "blind": PART,
+        "_events": {fixed(str, str): Event},
+        "_span": fixed(int, int),
+        "_start": array(np.float64, 3),
+        "_last": array(np.float64, 3),
+        "_reach": float,
+        "_gravity": fixed(array(np.float64, 3), array(np.float64, 2, 2)),
+    }
 
     def __init__(self) -> None:
         self.scans = 0

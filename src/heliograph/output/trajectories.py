@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +14,12 @@ from heliograph.data import ImuBatch, ScanResult, Trajectory
 from heliograph.io.files.tum import TumWriter, parse_seconds
 from heliograph.lie import so3
 from heliograph.output.final_poses import FinalPoses
+from heliograph.snapshots import Snapshot, array, require
 
 __all__ = ["FILES", "TrajectoryFiles", "rewrite"]
 
 _TRAJECTORY, _ODOMETRY, _IMU_RATE = FILES = ("trajectory.tum", "odometry.tum", "trajectory_imu_rate.tum")
+TRAJECTORY_STATE = {"sizes": {str: int}, "pending": [array(np.int64, None)], "last_scan_ns": int}
 _BLOCK = 4096  # rows rewritten at once
 
 
@@ -36,15 +38,32 @@ class TrajectoryFiles:
         For the first line of each file.
     stamp : str
         Meaning of the stamps of ``trajectory.tum`` and ``odometry.tum``, likewise.
+    sizes : mapping of str to int, optional
+        Bytes of each file of a run that is taken up again: it goes on behind them.
     """
 
-    def __init__(self, folder: Path, *, body: str, T_imu_body: NDArray[np.float64], version: str, stamp: str) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        body: str,
+        T_imu_body: NDArray[np.float64],
+        version: str,
+        stamp: str,
+        sizes: Mapping[str, int] | None = None,
+    ) -> None:
         self.folder, self.body, self.T_imu_body, self.version = folder, body, T_imu_body, version
-        self._scan_rate = {
-            name: TumWriter(folder / name, self.header(frame, stamp))
-            for name, frame in ((_TRAJECTORY, "map"), (_ODOMETRY, "odom"))
-        }
+        sizes = sizes or {}
+        self._scan_rate: dict[str, TumWriter] = {}
         self._imu_rate: TumWriter | None = None
+        try:
+            for name, frame in ((_TRAJECTORY, "map"), (_ODOMETRY, "odom")):
+                self._scan_rate[name] = TumWriter(folder / name, self.header(frame, stamp), at=sizes.get(name))
+            if _IMU_RATE in sizes:
+                self._imu_rate = self._opened_imu_rate(sizes[_IMU_RATE])
+        except BaseException:
+            self.release()
+            raise
         self._pending: list[NDArray[np.int64]] = []
         self._last_scan_ns = np.iinfo(np.int64).min
 
@@ -76,8 +95,24 @@ class TrajectoryFiles:
         if not new.any():
             return
         if self._imu_rate is None:
-            self._imu_rate = TumWriter(self.folder / _IMU_RATE, self.header("map", "time of an IMU sample [s]"))
+            self._imu_rate = self._opened_imu_rate()
         self._imu_rate.extend(path.stamps_ns[new], path.T_frame_body[new] @ self.T_imu_body)
+
+    def _opened_imu_rate(self, at: int | None = None) -> TumWriter:
+        return TumWriter(self.folder / _IMU_RATE, self.header("map", "time of an IMU sample [s]"), at=at)
+
+    def snapshot(self) -> Snapshot:
+        """Return what the next rows depend on, and the sizes of the files, which are on the disk."""
+        return {
+            "sizes": {writer.path.name: writer.size for writer in self.writers()},
+            "pending": self._pending,
+            "last_scan_ns": int(self._last_scan_ns),
+        }
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the state of earlier files, opened at the ``sizes`` of that."""
+        require(self, snapshot, TRAJECTORY_STATE)
+        self._pending, self._last_scan_ns = snapshot["pending"], snapshot["last_scan_ns"]
 
     def writers(self) -> Iterator[TumWriter]:
         """Yield the open files."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,8 @@ from heliograph.arrays import Array, freeze
 from heliograph.chi_square import chi_square_quantile
 from heliograph.config import RunConfig
 from heliograph.data import Event, GraphAccount, Keyframe
+from heliograph.errors import DataError
+from heliograph.factors import SENSOR_FACTORS
 from heliograph.graph import ISAM2, Between, Covariance, FactorGraph, Symbol, Values
 from heliograph.lie import SE3, se3
 from heliograph.slam.covariances import OdometryChain
@@ -20,13 +23,30 @@ from heliograph.slam.gnss import GnssFactors, KeptFixes
 from heliograph.slam.inertial_factors import InertialFactors
 from heliograph.slam.loop_search import Candidate, LoopSearch
 from heliograph.slam.loops import Ledger, LedgerEntry, LoopEvidence, diagonal, finished
+from heliograph.slam.past_steps import PastSteps
 from heliograph.slam.pose_factors import PoseFactors
+from heliograph.slam.step_log import StepLog, factors_for
 from heliograph.slam.store import KeyframeStore
 from heliograph.slam.wheels import WheelFactors
+from heliograph.snapshots import PART, Snapshot, Stateful, array, fixed, require
 
 __all__ = ["BackEnd", "GraphUpdate"]
 
-X = Symbol("X")
+X, B = Symbol("X"), Symbol("B")
+_PARTS = ("chain", "ledger", "fixes", "wheels", "_steps", "_search")
+_STATE = {
+    "smoother": {str: (str, {str: np.ndarray})},
+    "parts": {str: PART},
+    "waiting": [int],
+    "query": PART,
+    "loops": [LedgerEntry],
+    "candidates": {int: [int]},
+    "moved": float,
+    "in_force": {int: int},
+    "past": PART,
+    "numbers": {int: [int]},
+    "bias_number": int,
+}
 _CONVERGED = 1e-5  # an update that closes a loop goes on until no step is longer [rad], [m]
 _BELIEVED = 0.9999  # a loop that the solution contradicts with this probability is taken back
 
@@ -82,16 +102,22 @@ class BackEnd:
         fixes: GnssFactors | None = None,
     ) -> None:
         self._config, self.store = config, store
-        self._smoother, self._steps = ISAM2(), FactorGraph()
+        self._smoother = ISAM2()
         self.chain = OdometryChain()
         self.ledger = ledger if ledger is not None else Ledger(config.loops)
         self.fixes = fixes if fixes is not None else GnssFactors(config)
         self.wheels = WheelFactors(config)
+        self._steps = StepLog(config, self.wheels)
         self._search = LoopSearch(store, self.chain, config.slam, config.places, config.loops)
         self._waiting: deque[int] = deque()  # keyframes at which loops are still to be looked for
-        self._query: Generator[None, None, None] | None = None  # the one that is being looked at
+        self._query: OpenQuery | None = None  # the one that is being looked at
+        self._search_of_query: Iterator[None] = iter(())  # its search
         self._news = _News()
         self._factors: InertialFactors | PoseFactors | None = None
+        self._past: PastSteps | None = None
+        self._numbers: dict[int, list[int]] = {}  # keyframe -> numbers in the smoother of the factors of the step to it
+        self._bias_number = -1  # that of the prior of the oldest biases that are there
+        self._said = 0  # factors of the latest step itself
         self._before: Keyframe | None = None
         self._in_force: dict[int, int] = {}  # number in the ledger -> number of its factor in the smoother
 
@@ -103,7 +129,7 @@ class BackEnd:
         back_end = cls(config, store, ledger=ledger)
         for keyframe in store:
             back_end.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
-            back_end._smoother.update(*back_end._step(keyframe))
+            back_end._smooth(keyframe, *back_end._step(keyframe))
         back_end._enforce()
         if fixes is not None:
             back_end.fixes.keep(back_end._smoother, fixes)
@@ -121,8 +147,7 @@ class BackEnd:
         """
         self.store.append(keyframe)  # (1) it is on disk before anything leans on it
         self.chain.append(keyframe.stamp_ns, keyframe.T_odom_imu, keyframe.step_covariance)
-        graph, values = self._step(keyframe)  # (2) where it starts, (3) what odometry and IMU say of the step
-        self._smoother.update(graph, values)  # (4)
+        self._smooth(keyframe, *self._step(keyframe))  # (2) where it starts, (3) what odometry and IMU say, (4)
         if self._config.slam.loops and self._search.due(keyframe.index):
             self._waiting.append(keyframe.index)
         self._go_on(self._config.slam.loop_pieces)  # (5) to (8)
@@ -142,27 +167,101 @@ class BackEnd:
             if self._query is None:
                 if not self._waiting:
                     return
-                self._query = self._closing(self._waiting.popleft())
+                self._query = self._opened(self._waiting.popleft())
+                self._search_of_query = self._closing(self._query)
             try:
-                next(self._query)
+                next(self._search_of_query)
+                self._query.pieces += 1
             except StopIteration:
                 self._query = None
 
-    def _closing(self, query: int) -> Generator[None, None, None]:
-        """Look for the loops of one keyframe, in pieces of some milliseconds."""
+    def _opened(self, query: int) -> OpenQuery:
         T_map_imu = self.T_map_imu
         candidates = self._search.candidates(query, T_map_imu)  # (5) who looks like it
         self._news.candidates[query] = tuple(candidate.match for candidate in candidates)
-        changed: tuple[LedgerEntry, ...] = ()
-        for candidate in candidates:
+        return OpenQuery(query, T_map_imu, candidates)
+
+    def _closing(self, query: OpenQuery) -> Generator[None, None, None]:
+        """Look for the loops of one keyframe, in pieces of some milliseconds."""
+        while query.at < len(query.candidates):
+            query.pieces, query.held = 0, self._search.held
             yield
-            evidence = yield from self._search.verification(query, candidate, T_map_imu)  # (6) does it match
+            candidate = query.candidates[query.at]
+            evidence = yield from self._search.verification(query.index, candidate, query.T_map_imu)  # (6) a match?
             changed = self.ledger.add(evidence, self.chain.relative)  # (7) is it to be believed
             self._news.loops += changed
+            query.at += 1
             if changed[-1].decision.verdict != "rejected":
                 break
-        if changed:
+        if query.at:
             self._news.loops += self._enforce()  # (8) smooth with the accepted, take back what the solution contradicts
+
+    def snapshot(self) -> Snapshot:
+        """Return all that the next keyframes depend on but for the keyframes themselves, which are in the store."""
+        return {
+            "smoother": self._smoother.snapshot(),
+            "parts": {name: getattr(self, name).snapshot() for name in _PARTS},
+            "waiting": self._waiting,
+            "query": None if self._query is None else self._query.snapshot(),
+            "loops": self._news.loops,
+            "candidates": self._news.candidates,
+            "moved": self._news.moved,
+            "in_force": self._in_force,
+            "past": None if self._past is None else self._past.snapshot(),
+            "numbers": self._numbers,
+            "bias_number": self._bias_number,
+        }
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the state of another one that was made with the same arguments, and whose keyframes the store holds.
+
+        Raises
+        ------
+        DataError
+            It is none of such a back-end.
+        """
+        require(self, snapshot, _STATE)
+        require(self, snapshot["parts"], dict.fromkeys(_PARTS, PART))
+        self._smoother = ISAM2.restored(snapshot["smoother"], factors=SENSOR_FACTORS)
+        for name in _PARTS:
+            getattr(self, name).restore(snapshot["parts"][name])
+        if len(self.chain) != len(self.store):
+            raise DataError(f"the state of a back-end has {len(self.chain)} keyframes, the store {len(self.store)}")
+        self._waiting, self._in_force = snapshot["waiting"], snapshot["in_force"]
+        self._news = _News(snapshot["loops"], snapshot["candidates"], snapshot["moved"])
+        if len(self.store):
+            self._begin(self.store[0])
+            self._before = self.store[len(self.store) - 1]
+        if (self._past is None) != (snapshot["past"] is None):
+            raise DataError("the state of a back-end is one of other sensors")
+        if self._past is not None:
+            self._past.restore(snapshot["past"])
+        self._numbers, self._bias_number = snapshot["numbers"], snapshot["bias_number"]
+        if snapshot["query"] is not None:
+            self._query = OpenQuery.restored(snapshot["query"])
+            self._go_on_with(self._query)
+
+    def settle(self) -> None:
+        """Have what lies beside the keyframes put on the disk itself."""
+        self._search.settle()
+
+    def release(self) -> None:
+        """Let go of the files."""
+        self._search.close()
+
+    def _go_on_with(self, query: OpenQuery) -> None:
+        """Bring the search of a query to where it was: a candidate is looked at from its beginning, as often as it was.
+
+        With the local maps of then: those that are there take no piece.
+        """
+        held, pieces = self._search.held, query.pieces
+        self._search.held = query.held
+        self._search_of_query = self._closing(query)
+        for _ in range(pieces):
+            next(self._search_of_query, None)
+        query.pieces = pieces
+        if self._search.held != held:
+            raise DataError("the state of a back-end has a search that does not lead to where it stood")
 
     def _place_on_earth(self) -> None:
         """Bring in what the fixes tell, all of them weighed anew."""
@@ -203,7 +302,7 @@ class BackEnd:
 
     def graph(self) -> tuple[FactorGraph, Values]:
         """Return all that the smoother holds: steps, inertial factors and the loops that stand, at its estimate."""
-        whole = self._steps.copy()
+        whole = self._steps.graph(self.store, self._past)
         for entry in self.ledger.accepted():
             whole.add(_loop_factor(entry))
         for group in self.fixes.factors().groups():
@@ -228,22 +327,51 @@ class BackEnd:
 
     def _step(self, keyframe: Keyframe) -> tuple[FactorGraph, Values]:
         if self._before is None or self._factors is None:
-            inertial = len(keyframe.imu) > 0 and bool(np.linalg.norm(keyframe.g_odom) > 0.0)
-            self._factors = InertialFactors(self._config.slam, self._config.imu) if inertial else PoseFactors()
-            graph, values = self._factors.first(keyframe)
+            factors = self._begin(keyframe)
+            graph, values = factors.first(keyframe)
+            self._said = len(graph)
         else:
             T_map_before = self._smoother.estimate(X(self._before.index)).matrix[:4, :4]
             graph, values = self._factors.step(self._before, keyframe, T_map_before)
+            self._said = len(graph)
+            self._steps.note(keyframe, T_map_before)
             rolled, scale = self.wheels.step(self._before, keyframe, self._smoother)
             for added in rolled.groups():
                 graph.adopt(added)
             for key in scale.keys().tolist():
                 values.insert(key, scale.at(key))
-        for added in graph.groups():
-            self._steps.adopt(added)
-        self._steps.fix(graph.fixed)
         self._before = keyframe
         return graph, values
+
+    def _begin(self, first: Keyframe) -> InertialFactors | PoseFactors:
+        self._factors = factors_for(first, self._config)
+        if isinstance(self._factors, InertialFactors):
+            self._past = PastSteps(self._config, self._factors)
+        return self._factors
+
+    def _smooth(self, keyframe: Keyframe, graph: FactorGraph, values: Values) -> None:
+        """Bring the step in; what has left the window of inertial smoothing becomes a step of poses."""
+        steps, past, leaving = self._said, self._past, self._leaving(keyframe.index)
+        if past is None or leaving is None:
+            numbers = self._smoother.update(graph, values).factors
+        else:
+            before, after = self.store[leaving], self.store[leaving + 1]
+            past.take(before, after)
+            T_map_imu = np.ascontiguousarray(self._smoother.estimate(X(after.index)).matrix[:4, :4])
+            for record in (past.step(leaving), *past.reach(after.T_odom_imu, T_map_imu)):
+                graph.add(record)
+            gone = [*self._numbers.pop(after.index), self._bias_number]
+            numbers = self._smoother.update(graph, values, remove=gone, remove_variables=[int(B(leaving))]).factors
+            self._bias_number = int(numbers[-1])
+        if past is not None and keyframe.index == 0:
+            self._bias_number = int(numbers[steps - 1])
+        elif past is not None:
+            self._numbers[keyframe.index] = numbers[:steps].tolist()
+
+    def _leaving(self, newest: int) -> int | None:
+        """Return the keyframe that leaves the window; None where none does."""
+        window = self._config.slam.window
+        return len(self._past) if self._past is not None and window and newest - len(self._past) > window else None
 
     def _enforce(self) -> list[LedgerEntry]:
         """Bring the graph to what the ledger says now, and return what the solution makes of it."""
@@ -288,6 +416,42 @@ class BackEnd:
             moved=news.moved,
             events=_events(keyframe, news.loops, news.moved),
         )
+
+
+class OpenQuery(Stateful):
+    """A keyframe at which loops are being looked for, and how far that has come.
+
+    Parameters
+    ----------
+    index : int
+        The keyframe.
+    T_map_imu : (K, 4, 4) float64
+        Poses of all keyframes as the graph had them when it began.
+    candidates : tuple of Candidate
+    """
+
+    _STATE: ClassVar = {
+        "index": int,
+        "T_map_imu": array(np.float64, None, 4, 4),
+        "candidates": [Candidate],
+        "at": int,
+        "pieces": int,
+        "held": [fixed(int, int, int)],
+    }
+
+    def __init__(self, index: int, T_map_imu: Array, candidates: tuple[Candidate, ...]) -> None:
+        self.index, self.T_map_imu, self.candidates = index, T_map_imu, candidates
+        self.at = self.pieces = 0
+        """The candidate that is looked at, and pieces of that which are done."""
+        self.held: list[tuple[int, int, int]] = []
+        """Local maps that were there when it began to be looked at."""
+
+    @classmethod
+    def restored(cls, snapshot: Snapshot) -> OpenQuery:
+        """Return the query of a snapshot."""
+        query = cls(0, np.zeros((0, 4, 4)), ())
+        query.restore(snapshot)
+        return query
 
 
 @dataclass(slots=True)

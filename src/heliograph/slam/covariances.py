@@ -6,13 +6,14 @@ about body axes and a position along odom axes.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from heliograph.arrays import Array, Stamps
 from heliograph.lie import se3, so3
+from heliograph.slam.growing_rows import GrowingRows
+from heliograph.snapshots import PART, Stateful
 
 __all__ = ["OdometryChain", "graph_covariance", "graph_information", "step_covariance"]
 
@@ -63,32 +64,15 @@ def step_covariance(T_before: Array, T_after: Array, before: Array, after: Array
     return np.asarray(kept / scale[:, None] / scale + np.diag(least**2))
 
 
-class _Rows:
-    """An array that grows by rows: all of them are there as one array at any time."""
-
-    def __init__(self, *shape: int, dtype: type = float) -> None:
-        self._array: NDArray[Any] = np.zeros((64, *shape), dtype=dtype)
-        self._count = 0
-
-    def append(self, row: Array | int) -> None:
-        if self._count == len(self._array):
-            self._array = np.concatenate([self._array, np.zeros_like(self._array)])
-        self._array[self._count] = row
-        self._count += 1
-
-    @property
-    def all(self) -> NDArray[Any]:
-        """A view that later rows do not reach."""
-        return self._array[: self._count]
-
-
-class OdometryChain:
+class OdometryChain(Stateful):
     """How uncertain the odometry leaves the way from any keyframe to any other: the steps between add up."""
 
+    _STATE: ClassVar = {"_stamps": PART, "_poses": PART, "_steps": PART, "_sums": PART}
+
     def __init__(self) -> None:
-        self._stamps = _Rows(dtype=np.int64)
-        self._poses, self._steps = _Rows(4, 4), _Rows(6, 6)
-        self._sums = _Rows(6, 6)  # of left perturbations in odom, from the first keyframe on
+        self._stamps = GrowingRows(dtype=np.int64)
+        self._poses, self._steps = GrowingRows(4, 4), GrowingRows(6, 6)
+        self._sums = GrowingRows(6, 6)  # of left perturbations in odom, from the first keyframe on
 
     def __len__(self) -> int:
         return len(self._poses.all)

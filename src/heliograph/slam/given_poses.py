@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from heliograph.arrays import Array
@@ -10,13 +12,23 @@ from heliograph.data import Keyframe
 from heliograph.lie import se3
 from heliograph.registration import align
 from heliograph.slam.loops import diagonal, gate_of, loop_align_config
+from heliograph.snapshots import Snapshot, require
 
 __all__ = ["GivenPoses"]
 
+_COUNTS = ("steps", "registered", "contradicted")
 _EVERY = 4  # steps from one that is registered to the next, after the first ones: an account needs no more
 _PROBABILITY = 0.999
 _CONTRADICTED = 1.0 / 3.0  # share of the registered steps from which the poses are not believed
 _LEAST = 5  # registered steps that a judgement needs
+
+
+class NumberedKeyframes(Protocol):
+    """Keyframes by their numbers, such as a store of them."""
+
+    def __getitem__(self, index: int, /) -> Keyframe:
+        """Return one."""
+        ...
 
 
 class GivenPoses:
@@ -51,6 +63,18 @@ class GivenPoses:
         self.contradicted += _off(
             step, found.T_target_source, keyframe.step_covariance + found.covariance + self._floor
         )
+
+    def snapshot(self) -> Snapshot:
+        """Return the counts and the number of the last keyframe."""
+        before = None if self._before is None else self._before.index
+        return {"before": before, **{name: int(getattr(self, name)) for name in _COUNTS}}
+
+    def restored(self, snapshot: Snapshot, keyframes: NumberedKeyframes) -> None:
+        """Take up the state of another one, whose keyframes are these."""
+        require(self, snapshot, {"before": (int, None), **dict.fromkeys(_COUNTS, int)})
+        before = snapshot["before"]
+        self._before = None if before is None else keyframes[before]
+        self.steps, self.registered, self.contradicted = (snapshot[name] for name in _COUNTS)
 
     @property
     def doubts(self) -> tuple[str, ...]:

@@ -18,14 +18,14 @@ from heliograph.graph import Between, Covariance, Diagonal, FactorGraph, Partial
 from heliograph.imu import preintegrate
 from heliograph.lie import SE3, ExtendedPose, se3
 
-__all__ = ["InertialFactors"]
+__all__ = ["VELOCITY_ROWS", "InertialFactors", "seen_covariance"]
 
 X, B = Symbol("X"), Symbol("B")
 
 _HELD = 1e-6  # sigma of what defines the frame: heading [rad] and position [m]
 _UNSEEN, _UNSEEN_TURN = 100.0, 3.0  # sigmas of a pose in a direction that a scan does not see [m], [rad]
 _SPEED = 3.0  # sigma of a velocity that nothing measures [m/s]
-_VELOCITY_ROWS = (6, 7, 8)
+VELOCITY_ROWS = (6, 7, 8)
 
 
 class InertialFactors:
@@ -45,6 +45,16 @@ class InertialFactors:
         )
         self._gravity = np.array([0.0, 0.0, -imu.gravity])
 
+    @property
+    def speed_covariance(self) -> Array:
+        """Covariance (3, 3) of the velocity that a run begins with."""
+        return np.asarray(_SPEED**2 * np.eye(3))
+
+    @property
+    def bias_covariance(self) -> Array:
+        """Covariance (6, 6) of the biases that a run begins with."""
+        return np.asarray(np.diag(np.repeat([self._imu.gyro_bias_sigma, self._imu.accel_bias_sigma], 3) ** 2))
+
     def first(self, keyframe: Keyframe) -> tuple[FactorGraph, Values]:
         """Return what the first keyframe brings: where and which way it is by definition, its level as far as known."""
         graph, values = FactorGraph(), Values()
@@ -55,7 +65,7 @@ class InertialFactors:
         covariance[:3, :3] = R.T @ np.diag([tilt**2, tilt**2, _HELD**2]) @ R
         graph.add(Prior(key, SE3(keyframe.T_odom_imu), Covariance(covariance)))
         state, biases = _state(keyframe.T_odom_imu, keyframe.v_odom), _biases(keyframe)
-        graph.add(PartialPrior(key, state, _VELOCITY_ROWS, Diagonal(np.full(3, _SPEED))))
+        graph.add(PartialPrior(key, state, VELOCITY_ROWS, Diagonal(np.full(3, _SPEED))))
         graph.add(Prior(bias, biases, self._bias_noise()))
         values.insert(key, state)
         values.insert(bias, biases)
@@ -83,7 +93,7 @@ class InertialFactors:
             )  # fmt: skip
             graph.add(CombinedImu(i, bias_i, j, bias_j, motion, gravity=self._gravity, keep_samples=False))
         else:
-            graph.add(PartialPrior(j, state, _VELOCITY_ROWS, Diagonal(np.full(3, _SPEED))))
+            graph.add(PartialPrior(j, state, VELOCITY_ROWS, Diagonal(np.full(3, _SPEED))))
             graph.add(Between(bias_i, bias_j, np.zeros(6), self._walk((keyframe.stamp_ns - before.stamp_ns) * 1e-9)))
         values.insert(j, state)
         values.insert(bias_j, _biases(keyframe))

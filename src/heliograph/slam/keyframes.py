@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from heliograph.lie import se3
 from heliograph.maps import transformed
 from heliograph.odometry.sequencer import ImuBuffer
 from heliograph.slam.covariances import graph_covariance, graph_information, step_covariance
+from heliograph.snapshots import PART, Stateful, array
 
 __all__ = ["KeyframeSelector"]
 
@@ -24,7 +26,7 @@ _COMPARED, _FEWEST = 2000, 100  # of them at most, and at least
 _OTHERS_NS = 200_000_000  # clouds that come slower than this are another system's keyframes
 
 
-class KeyframeSelector:
+class KeyframeSelector(Stateful):
     """Watches a run and makes a keyframe of a scan when the body has moved on, turned, stood for a while, or sees new.
 
     A scan that was not matched makes none: where the LiDAR saw nothing, there is nothing to come back to.
@@ -35,6 +37,13 @@ class KeyframeSelector:
     poses_given : bool
         Whether the poses are another system's: clouds that come slower than five times a second are its keyframes.
     """
+
+    _STATE: ClassVar = {
+        "_imu": PART,
+        "_last": (ScanResult, None),
+        "_seen": array(np.int64, None),
+        "_count": int,
+    }
 
     def __init__(self, config: SlamConfig, *, poses_given: bool = False) -> None:
         self._config, self._poses_given = config, poses_given

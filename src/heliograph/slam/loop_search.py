@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from heliograph.arrays import Array, Mask, Points, freeze
 from heliograph.config import LoopConfig, PlacesConfig, SlamConfig
 from heliograph.lie import se3
 from heliograph.slam.covariances import OdometryChain
+from heliograph.slam.descriptor_file import DescriptorFile
 from heliograph.slam.loops import (
     LocalMaps,
     LoopEvidence,
@@ -24,6 +26,7 @@ from heliograph.slam.loops import (
 )
 from heliograph.slam.places import body_guess, level_points, make_detector
 from heliograph.slam.store import KeyframeStore
+from heliograph.snapshots import Snapshot, Stateful, fixed
 
 __all__ = ["Candidate", "LoopSearch"]
 
@@ -74,7 +77,7 @@ class _Clouds:
         return self._chain.pose(index)
 
 
-class LoopSearch:
+class LoopSearch(Stateful):
     """Descriptors and local maps of all keyframes so far.
 
     Parameters
@@ -85,15 +88,49 @@ class LoopSearch:
     slam, places, loops : SlamConfig, PlacesConfig, LoopConfig
     """
 
+    _STATE: ClassVar = {"_described": [int], "_standing": [LoopEvidence], "held": [fixed(int, int, int)]}
+
     def __init__(
         self, store: KeyframeStore, chain: OdometryChain, slam: SlamConfig, places: PlacesConfig, loops: LoopConfig
     ) -> None:
         self._chain, self._slam, self._config = chain, slam, loops
         self._clouds = _Clouds(store, chain)
         self._detector = make_detector(places)
+        self._descriptors = DescriptorFile(store.path / "descriptors.bin")
         self._described: list[int] = []
         self._maps = LocalMaps(self._clouds, loop_align_config(loops))
         self._standing: tuple[LoopEvidence, ...] = ()
+
+    @property
+    def held(self) -> list[tuple[int, int, int]]:
+        """The local maps that are there: they tell in how many pieces the next search is done."""
+        return self._maps.held
+
+    @held.setter
+    def held(self, maps: list[tuple[int, int, int]]) -> None:
+        self._maps.hold(maps)
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the state of another search over the same keyframes; descriptors come from their file.
+
+        Raises
+        ------
+        DataError
+            It is none of a search.
+        FormatError
+            The file of descriptors is not whole.
+        """
+        super().restore(snapshot)
+        for index, descriptor in zip(self._described, self._descriptors.cut(len(self._described)), strict=True):
+            self._detector.add(index, descriptor)
+
+    def settle(self) -> None:
+        """Have the file of descriptors put on the disk itself."""
+        self._descriptors.settle()
+
+    def close(self) -> None:
+        """Release the file of descriptors."""
+        self._descriptors.close()
 
     def closed(self, loops: Sequence[LoopEvidence]) -> None:
         """Take note of the loops that stand: by them the graph knows the way."""
@@ -200,7 +237,9 @@ class LoopSearch:
         """Bring the detector up to date, some keyframes at a time: it may never be needed, and then all at once."""
         begin = self._described[-1] + _DESCRIBED if self._described else 0
         for index in range(begin, query, _DESCRIBED)[:_CATCH_UP]:
-            self._detector.add(index, self._detector.describe(self._level(index)))
+            descriptor = self._detector.describe(self._level(index))
+            self._detector.add(index, descriptor)
+            self._descriptors.append(descriptor)
             self._described.append(index)
 
     def _level(self, index: int) -> Points:

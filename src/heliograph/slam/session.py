@@ -13,16 +13,19 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, GraphAccount, ImuBatch, Message, ScanResult, WheelSpeeds
+from heliograph.errors import DataError
 from heliograph.slam.back_end import BackEnd
 from heliograph.slam.given_poses import GivenPoses
 from heliograph.slam.gnss import GnssFactors
 from heliograph.slam.graph_files import write_graph_files
 from heliograph.slam.keyframes import KeyframeSelector
 from heliograph.slam.store import KeyframeStore
+from heliograph.snapshots import PART, Snapshot, require
 
 __all__ = ["KEYFRAMES", "MovedKeyframes", "NoSlam", "SlamSession"]
 
 KEYFRAMES = "keyframes"
+_STATE = {"keyframes": int, "events": [Event], "given": PART, "selector": PART, "back_end": PART}
 _ALL = 10_000  # pieces of a search: where nobody waits, nothing is deferred
 
 
@@ -56,6 +59,8 @@ class SlamSession:
         Whether the folder stays, and the graph's files are written into it.
     antenna_imu : (3,) float64, optional
         The satellite receiver's antenna in the imu frame, where the recording tells it [m].
+    keyframes : int, optional
+        Keyframes of a run that is taken up again: as many are in the folder's store already.
     """
 
     def __init__(
@@ -66,13 +71,15 @@ class SlamSession:
         poses_given: bool = False,
         kept: bool = True,
         antenna_imu: Array | None = None,
+        keyframes: int | None = None,
     ) -> None:
         config = replace(config, slam=replace(config.slam, loop_every=1, loop_pieces=_ALL)) if poses_given else config
         self.events: list[Event] = []
         self._folder = folder if kept else None
         self._given = GivenPoses(config.loops) if poses_given else None
         self._selector = KeyframeSelector(config.slam, poses_given=poses_given)
-        self.store = KeyframeStore.create(folder / KEYFRAMES)
+        path = folder / KEYFRAMES
+        self.store = KeyframeStore.create(path) if keyframes is None else KeyframeStore.cut(path, keyframes)
         self.fixes = GnssFactors(config, antenna_imu)
         self.back_end = BackEnd(config, self.store, fixes=self.fixes)
 
@@ -106,6 +113,40 @@ class SlamSession:
         self.events += update.events if update is not None else ()
         self.events += (*self.fixes.events(), *self.back_end.wheels.events())
 
+    def snapshot(self) -> Snapshot:
+        """Return what the next results come to, the number of keyframes in the store with it; the store is settled."""
+        self.store.settle()
+        self.back_end.settle()
+        return {
+            "keyframes": len(self.store),
+            "events": self.events,
+            "given": None if self._given is None else self._given.snapshot(),
+            "selector": self._selector.snapshot(),
+            "back_end": self.back_end.snapshot(),
+        }
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the state of another one that was made with the same arguments, over its store.
+
+        Raises
+        ------
+        DataError
+            It is none of such a session.
+        """
+        require(self, snapshot, _STATE)
+        self.events = snapshot["events"]
+        if (self._given is None) != (snapshot["given"] is None):
+            raise DataError("the state of a back-end is one of other poses")
+        if self._given is not None:
+            self._given.restored(snapshot["given"], self.store)
+        self._selector.restore(snapshot["selector"])
+        self.back_end.restore(snapshot["back_end"])
+
+    def release(self) -> None:
+        """Let go of the files; a second call changes nothing."""
+        self.store.close()
+        self.back_end.release()
+
     @property
     def doubts(self) -> tuple[str, ...]:
         """Why the result is not to be trusted although nothing else says so."""
@@ -123,7 +164,7 @@ class SlamSession:
 
     def close(self) -> GraphAccount:
         """Release the store, write the graph's files and return the account."""
-        self.store.close()
+        self.release()
         files = write_graph_files(self._folder, self.back_end) if self._folder is not None and len(self.store) else ()
         return self.back_end.account(files=files)
 
@@ -147,6 +188,14 @@ class NoSlam:
 
     def observe_speeds(self, speeds: WheelSpeeds) -> None:
         """Take nothing."""
+
+    def snapshot(self) -> Snapshot:
+        """Return nothing: nothing depends on it."""
+        return {}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up nothing."""
+        require(self, snapshot, {})
 
     def add(self, results: Sequence[ScanResult]) -> None:
         """Take nothing."""

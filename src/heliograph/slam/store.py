@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 import zlib
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ from heliograph.data import ImuBatch, Keyframe
 from heliograph.errors import DataError, FormatError
 from heliograph.guard.limits import MAX_NS
 from heliograph.guard.npz import read_npz
+from heliograph.snapshots import settle
 
 __all__ = ["KeyframeStore"]
 
@@ -73,6 +75,7 @@ class KeyframeStore:
         self._entries = entries
         self._cache: OrderedDict[int, Keyframe] = OrderedDict()
         self._journal: IO[str] | None = None
+        self._settled = len(entries)
 
     @classmethod
     def create(cls, path: Path | str) -> KeyframeStore:
@@ -114,6 +117,40 @@ class KeyframeStore:
             )
         entries = list(_whole_entries(path, lines[1:]))
         return cls(path, _without_torn_end(path, entries))
+
+    @classmethod
+    def cut(cls, path: Path | str, keyframes: int) -> KeyframeStore:
+        """Open a store that a run left as it was when it had ``keyframes``; later ones are taken out.
+
+        Raises
+        ------
+        FormatError
+            It does not hold as many, or not whole.
+        OutputError
+            The journal cannot be written.
+        """
+        store = cls.open(path)
+        if len(store) < keyframes:
+            raise FormatError(
+                store.path, f"holds {len(store)} keyframes whole, the run had {keyframes}; run anew with --overwrite"
+            )
+        store._entries = store._entries[:keyframes]
+        with output_errors(store.path):
+            store._journal = store._opened_journal()
+            for file in store.path.glob("[0-9]*.npz"):
+                if file.stem.isdigit() and int(file.stem) >= keyframes:
+                    file.unlink()
+        return store
+
+    def settle(self) -> None:
+        """Have the operating system put on the disk itself what was appended since it last did."""
+        with output_errors(self.path):
+            for entry in self._entries[self._settled :]:
+                settle(self.path / entry.file)
+            if self._journal is not None:
+                os.fsync(self._journal.fileno())
+        settle(self.path)
+        self._settled = len(self._entries)
 
     def append(self, keyframe: Keyframe) -> None:
         """Write the next keyframe.

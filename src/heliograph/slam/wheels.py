@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from heliograph.graph import ISAM2, Covariance, FactorGraph, Isotropic, Prior, S
 from heliograph.imu import preintegrate
 from heliograph.lie import se3, so3
 from heliograph.slam.inertial_factors import seen_covariance
+from heliograph.snapshots import Stateful
 
 __all__ = ["WheelFactors"]
 
@@ -25,13 +27,21 @@ _OFF = 0.5  # share of steps that contradict the IMU from which the wheels thems
 _LEAST_STEPS = 20
 
 
-class WheelFactors:
+class WheelFactors(Stateful):
     """Holds a run's speeds and says what they tell of each step; without any it says nothing.
 
     Parameters
     ----------
     config : RunConfig
     """
+
+    _STATE: ClassVar = {
+        "steps": int,
+        "slips": int,
+        "_slipped_ns": [int],
+        "_ratios": [float],
+        "_told": {int: bool},
+    }
 
     def __init__(self, config: RunConfig) -> None:
         self._config, self._imu = config.wheels, config.imu
@@ -48,6 +58,7 @@ class WheelFactors:
         self.steps = self.slips = 0
         self._slipped_ns: list[int] = []
         self._ratios: list[float] = []
+        self._told: dict[int, bool] = {}  # keyframe -> whether the step to it was the first that the wheels told of
 
     @property
     def in_use(self) -> bool:
@@ -75,7 +86,7 @@ class WheelFactors:
         way = self._way(before, keyframe)
         if way is None or not len(keyframe.imu):
             return graph, values
-        first = self.steps == self.slips
+        first = not self._told
         scale = 1.0 if first else float(np.asarray(smoother.estimate(K(0)))[0])
         noise = self._covariance(keyframe.stamp_ns - before.stamp_ns)
         self.steps += 1
@@ -83,6 +94,17 @@ class WheelFactors:
             self.slips += 1
             self._slipped_ns.append(keyframe.stamp_ns)
             return graph, values
+        self._told[keyframe.index] = first
+        return self.said(before, keyframe)
+
+    def said(self, before: Keyframe, keyframe: Keyframe) -> tuple[FactorGraph, Values]:
+        """Return what `step` told of a step, once more; nothing where it told nothing."""
+        graph, values = FactorGraph(), Values()
+        first = self._told.get(keyframe.index)
+        way = None if first is None else self._way(before, keyframe)
+        if way is None:
+            return graph, values
+        noise = self._covariance(keyframe.stamp_ns - before.stamp_ns)
         if first:
             values.insert(K(0), np.ones(1))
             graph.add(Prior(K(0), np.ones(1), Isotropic(self._config.scale_sigma)))

@@ -11,6 +11,7 @@ from heliograph.testing.kernels import RobustKernel, assert_robust_kernel
 from heliograph.testing.local_maps import assert_local_map
 from heliograph.testing.loop_detectors import assert_loop_detector
 from heliograph.testing.odometries import assert_odometry
+from heliograph.testing.parts import assert_goes_on
 from heliograph.testing.sinks import assert_sink
 from heliograph.testing.sources import assert_source
 
@@ -19,6 +20,7 @@ __all__ = [
     "RobustKernel",
     "assert_alignment",
     "assert_factor",
+    "assert_goes_on",
     "assert_jacobian",
     "assert_lie_group",
     "assert_local_map",

@@ -1,15 +1,18 @@
 """A session's back-end: however messages and results come in, the same keyframes, loops and bits."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.slam_worlds import drifting_walk
 
+from heliograph.checkpoint import RECORDS
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, Scan
 from heliograph.odometry.pose_result import pose_result
 from heliograph.slam import SlamSession
+from heliograph.snapshots import packed, unpacked
 
 RATE = 50
 
@@ -69,3 +72,33 @@ def test_live_stream_and_file_give_the_same_bits_loops_included(tmp_path, result
     np.testing.assert_array_equal(live.back_end.T_map_imu, file.back_end.T_map_imu)
     for name in ("loops.csv", "graph.g2o"):
         assert (tmp_path / "live" / name).read_bytes() == (tmp_path / "file" / name).read_bytes()
+
+
+def test_session_goes_on_from_its_state_to_the_same_bits_also_within_a_search(tmp_path, results):
+    config = RunConfig()
+    config = replace(config, slam=replace(config.slam, loop_pieces=2), loops=replace(config.loops, apart=15))
+    first, kept = SlamSession(tmp_path / "first", config), {}
+    for number, result in enumerate(results):
+        first.add([result])
+        within_a_search = first.back_end._query is not None
+        if number > 20 and len(kept) < 2 and (within_a_search or number > 40) and number % 4 == 1:
+            kept[number] = *packed(first.snapshot(), RECORDS), within_a_search
+            shutil.copytree(tmp_path / "first", tmp_path / f"at {number}")
+    assert any(searching for *_, searching in kept.values()) and first.back_end.closed
+    first.finish([])
+    first.close()
+    for number, (tree, arrays, _) in kept.items():
+        state = unpacked(tree, arrays, RECORDS)
+        again = SlamSession(tmp_path / f"at {number}", config, keyframes=state["keyframes"])
+        again.restore(state)
+        for result in results[number + 1 :]:
+            again.add([result])
+        again.finish([])
+        again.close()
+        np.testing.assert_array_equal(again.back_end.T_map_imu, first.back_end.T_map_imu)
+        assert again.events == first.events
+        for name in ("loops.csv", "graph.g2o", "keyframes/journal.jsonl", "keyframes/descriptors.bin"):
+            there = tmp_path / f"at {number}" / name
+            assert not there.exists() or there.read_bytes() == (tmp_path / "first" / name).read_bytes(), name
+        whole, taken = (np.load(tmp_path / run / "graph.npz") for run in ("first", f"at {number}"))
+        assert whole.files == taken.files and all(np.array_equal(whole[n], taken[n]) for n in whole.files)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -339,6 +340,31 @@ class ISAM2:
             raise FormatError(
                 path, f"is no saved smoother, or damaged ({error}); save it again with ISAM2.save"
             ) from error
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the whole state as arrays by name, and what the smoother says of itself as text."""
+        return {"arrays": self._arrays(), "about": json.dumps(self._about())}
+
+    @classmethod
+    def restored(cls, snapshot: Mapping[str, Any], *, factors: Iterable[type[FactorRecord]] = ()) -> ISAM2:
+        """Return the smoother that `snapshot` took apart; it goes on to the same bits.
+
+        Parameters
+        ----------
+        snapshot : mapping
+        factors : classes
+            As for `load`.
+
+        Raises
+        ------
+        GraphError
+            It is none, is damaged, or holds factors whose class was not given.
+        """
+        try:
+            arrays, about = snapshot["arrays"], json.loads(snapshot["about"])
+            return _restored(state_from(arrays, factors), arrays, about)
+        except (ConfigError, *DAMAGE) as error:
+            raise GraphError(f"the state of a smoother is damaged ({error})") from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _unpickled, (self._arrays(), self._about(), self._state.custom_classes())

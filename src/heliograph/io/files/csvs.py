@@ -26,6 +26,8 @@ class CsvWriter:
         File to create; an existing one is replaced.
     columns : sequence of str
         Column names, unique.
+    at : int, optional
+        Bytes of a file that is there: rows go on behind them [bytes].
 
     Raises
     ------
@@ -38,16 +40,21 @@ class CsvWriter:
     spreadsheets and pandas expect; booleans become 0 and 1.
     """
 
-    def __init__(self, path: Path | str, columns: Sequence[str]) -> None:
+    def __init__(self, path: Path | str, columns: Sequence[str], *, at: int | None = None) -> None:
         if len(set(columns)) != len(columns) or not columns:
             raise ValueError(f"column names must be unique and at least one: {list(columns)}")
         self.columns = tuple(columns)
-        self._rows = RowFile(path, header=_line(self.columns))
+        self._rows = RowFile(path, header=_line(self.columns), at=at)
 
     @property
     def path(self) -> Path:
         """The file."""
         return self._rows.path
+
+    @property
+    def size(self) -> int:
+        """Bytes of the rows so far, all of them on the disk."""
+        return self._rows.size
 
     def append(self, row: Mapping[str, Value] | Sequence[Value]) -> None:
         """Append one row: values by column name (a missing one is an empty cell) or in column order.

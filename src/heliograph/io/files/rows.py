@@ -9,10 +9,32 @@ from pathlib import Path
 from types import TracebackType
 
 from heliograph.atomic import output_error, output_errors
+from heliograph.errors import FormatError
 
-__all__ = ["RowFile"]
+__all__ = ["RowFile", "opened_at"]
 
 _FLUSH_BYTES = 1 << 16
+
+
+def opened_at(path: Path, at: int) -> io.FileIO:
+    """Return a file that is there, opened to go on behind its first ``at`` bytes; what follows them is taken out.
+
+    Raises
+    ------
+    FormatError
+        It is shorter.
+    OutputError
+        It cannot be written.
+    """
+    with output_errors(path):
+        file = io.FileIO(path, "r+")
+        size = os.fstat(file.fileno()).st_size
+        if size >= at:
+            file.truncate(at)
+            file.seek(at)
+            return file
+        file.close()
+    raise FormatError(path, f"holds {size} bytes, and {at} of it were written; run anew with --overwrite")
 
 
 class RowFile:
@@ -27,6 +49,8 @@ class RowFile:
         File to create; an existing one is replaced.
     header : str
         First rows, written at once, so that a path which cannot be written fails here.
+    at : int, optional
+        Bytes of a file that is there: rows go on behind them, and what follows is taken out [bytes].
 
     Raises
     ------
@@ -34,18 +58,29 @@ class RowFile:
         The file cannot be created or written; names the path and a remedy.
     """
 
-    def __init__(self, path: Path | str, header: str = "") -> None:
+    def __init__(self, path: Path | str, header: str = "", *, at: int | None = None) -> None:
         self.path = Path(path)
-        with output_errors(self.path):
-            self._file = io.FileIO(self.path, "w")
         self._pending: list[str] = []
         self._pending_bytes = 0
+        if at is not None:
+            self._file = opened_at(self.path, at)
+            return
+        with output_errors(self.path):
+            self._file = io.FileIO(self.path, "w")
         try:
             self.write(header)
             self.flush()
         except BaseException:
             self._file.close()
             raise
+
+    @property
+    def size(self) -> int:
+        """Bytes of the rows so far, all of them handed to the operating system and put on the disk itself."""
+        self.flush()
+        with output_errors(self.path):
+            os.fsync(self._file.fileno())
+        return os.lseek(self._file.fileno(), 0, os.SEEK_CUR)
 
     def write(self, rows: str) -> None:
         """Append ``rows``: text that ends with a newline."""

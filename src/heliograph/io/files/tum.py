@@ -25,7 +25,7 @@ _MAX_STAMP = 60  # characters, or digits
 _PLAIN_SECONDS = re.compile(r"([+-]?)(\d+)\.(\d{1,9})")
 _ROW = "%s%d.%09d %.9f %.9f %.9f %.12f %.12f %.12f %.12f\n"
 _MAX_ROTATION_DEFECT = 1e-3
-_BATCH = 100  # calls whose rows are formatted together
+_BATCH, _BATCH_ROWS = 100, 4096  # calls whose rows are formatted together, and rows: text takes ten times their memory
 
 
 def _format_rows(stamps_ns: NDArray[np.int64], T_frame_body: NDArray[np.float64]) -> str:
@@ -53,6 +53,8 @@ class TumWriter:
         File to create; an existing one is replaced.
     header : str
         First line, written after ``# ``: frame, body, meaning of the stamps, version.
+    at : int, optional
+        Bytes of a file that is there: rows go on behind them [bytes].
 
     Raises
     ------
@@ -60,17 +62,24 @@ class TumWriter:
         The file cannot be created or written.
     """
 
-    def __init__(self, path: Path | str, header: str) -> None:
-        self._rows = RowFile(path, header="# " + " ".join(header.split()) + "\n")
+    def __init__(self, path: Path | str, header: str, *, at: int | None = None) -> None:
+        self._rows = RowFile(path, header="# " + " ".join(header.split()) + "\n", at=at)
         self._stamps: list[
             NDArray[np.int64]
         ] = []  # not yet formatted: rows one by one would take several times as long
         self._poses: list[NDArray[np.float64]] = []
+        self._waiting = 0
 
     @property
     def path(self) -> Path:
         """The file."""
         return self._rows.path
+
+    @property
+    def size(self) -> int:
+        """Bytes of the rows so far, all of them on the disk."""
+        self._format()
+        return self._rows.size
 
     def append(self, stamp_ns: int, T_frame_body: NDArray[np.float64]) -> None:
         """Append one pose: time [ns] and ``(4, 4)`` float64 ``T_frame_body`` [m]."""
@@ -85,7 +94,8 @@ class TumWriter:
             raise ValueError(f"poses have shape {T_frame_body.shape}, expected ({len(stamps_ns)}, 4, 4)")
         self._stamps.append(stamps_ns.copy())
         self._poses.append(T_frame_body.copy())
-        if len(self._stamps) >= _BATCH:
+        self._waiting += len(stamps_ns)
+        if len(self._stamps) >= _BATCH or self._waiting >= _BATCH_ROWS:
             self._format()
 
     def flush(self) -> None:
@@ -103,7 +113,7 @@ class TumWriter:
     def _format(self) -> None:
         if self._stamps:
             stamps, poses = np.concatenate(self._stamps), np.concatenate(self._poses)
-            self._stamps, self._poses = [], []
+            self._stamps, self._poses, self._waiting = [], [], 0
             self._rows.write(_format_rows(stamps, poses))
 
     def __enter__(self) -> TumWriter:

@@ -7,6 +7,7 @@ update must know, where a scan is inserted, whether the map has been bent by a m
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from heliograph.odometry.filter.motion import rate_change
 from heliograph.odometry.filter.remounting import anchoring, is_bent, widened
 from heliograph.odometry.filter.update import Linearization
 from heliograph.registration import MapMounting
+from heliograph.snapshots import Stateful, array
 
 __all__ = [
     "CalibrationTerms",
@@ -87,7 +89,7 @@ class CalibrationTerms:
         return np.asarray(B @ prior.covariance @ B.T)
 
 
-class FixedCalibration:
+class FixedCalibration(Stateful):
     """Mounting and clock as they were given.
 
     Parameters
@@ -95,6 +97,10 @@ class FixedCalibration:
     T_imu_lidar : (4, 4) float64
         Mounting [m].
     """
+
+    _STATE: ClassVar = {
+        "T_imu_lidar": array(np.float64, 4, 4),
+    }
 
     def __init__(self, T_imu_lidar: Array) -> None:
         self.T_imu_lidar = T_imu_lidar
@@ -129,6 +135,8 @@ class FixedCalibration:
 
 class FreeMounting(FixedCalibration):
     """A mounting that every scan may move; for a rough guess that only serves to find a better one."""
+
+    _STATE: ClassVar = {**FixedCalibration._STATE, "_T_odom_imu_first": array(np.float64, 4, 4)}
 
     def __init__(self, T_imu_lidar: Array) -> None:
         super().__init__(T_imu_lidar)
@@ -166,6 +174,8 @@ class GatedCalibration(FreeMounting):
         With the errors of both; one of them may be known exactly.
     config : FilterConfig
     """
+
+    _STATE: ClassVar = {**FreeMounting._STATE, "_gate": CalibrationGate}
 
     def __init__(self, start: NavState, config: FilterConfig) -> None:
         super().__init__(start.T_imu_lidar)

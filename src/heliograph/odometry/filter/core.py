@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from heliograph.odometry.filter.motion import MotionModel, corrected_path, rate_
 from heliograph.odometry.filter.relocking import Relocker
 from heliograph.odometry.filter.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.filter.update import FilterUpdate
+from heliograph.snapshots import PART, Snapshot, Stateful
 
 __all__ = ["CoreMark", "FilterCore"]
 
@@ -49,7 +50,7 @@ class CoreMark:
 _SAME_SPEED, _SAME_RATE = 0.005, 0.0005
 
 
-class FilterCore:
+class FilterCore(Stateful):
     """The filter proper: a state, a map, and one step a scan.
 
     Parameters
@@ -64,6 +65,19 @@ class FilterCore:
     threads : int
         Threads of the native loops; the results do not depend on them.
     """
+
+    _STATE: ClassVar = {
+        "state": NavState,
+        "map": PART,
+        "_motion": PART,
+        "_calibration": PART,
+        "_keeper": PART,
+        "_matcher": PART,
+        "_relocker": PART,
+        "_history": (ImuPath, None),
+        "_count": int,
+        "_begins_anew": bool,
+    }
 
     def __init__(
         self,
@@ -90,6 +104,17 @@ class FilterCore:
         self.blindfolded = self.holds_map = False
         """Whether scans are matched to nothing, and whether those that are matched leave the map as it is."""
 
+    def snapshot(self) -> Snapshot:
+        """Return what the next scans depend on."""
+        return {**super().snapshot(), "unmoved": self._calibration.T_imu_lidar is self.state.T_imu_lidar}
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the state of another filter that was made alike."""
+        unmoved = snapshot.get("unmoved")
+        super().restore({name: value for name, value in snapshot.items() if name != "unmoved"})
+        if unmoved is True:  # a mounting that is the very same needs no correction, one that is merely equal gets one
+            self._calibration.T_imu_lidar = self.state.T_imu_lidar
+
     @property
     def noise(self) -> AdaptiveNoise:
         """Range noise across planes, as past scans show it."""
@@ -111,11 +136,11 @@ class FilterCore:
         return self._relocker.seeking
 
     def mark(self) -> CoreMark:
-        """Return what `restore` needs to come back to here, the map apart."""
+        """Return what `come_back` needs to return to here, the map apart."""
         kept = copy(self._keeper.drift), copy(self._calibration), copy(self._relocker)
         return CoreMark(self.state, self._history, self._count, *kept)
 
-    def restore(self, mark: CoreMark) -> None:
+    def come_back(self, mark: CoreMark) -> None:
         """Come back to a mark, on the map as it is."""
         self.state, self._history, self._count = mark.state, mark.history, mark.count
         self._keeper.drift, self._calibration = copy(mark.drift), copy(mark.calibration)
@@ -126,7 +151,7 @@ class FilterCore:
 
         The samples up to ``end_ns`` tell which way is up, which the silence before may have lost.
         """
-        self.restore(mark)
+        self.come_back(mark)
         self.map.clear()
         self.state, self._begins_anew = self._motion.levelled(mark.state, imu, begin_ns, end_ns), True
 

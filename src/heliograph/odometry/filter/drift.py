@@ -20,6 +20,7 @@ A frame that turns leaves gravity and velocity behind, so in the frame they turn
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -28,11 +29,12 @@ from heliograph.data import NavState
 from heliograph.data.error_layout import GRAVITY, POSE, POSE_DIM, POSITION, ROTATION, VELOCITY
 from heliograph.imu import ErrorGrowth
 from heliograph.lie import s2, so3
+from heliograph.snapshots import Stateful, array
 
 __all__ = ["MapDrift"]
 
 
-class MapDrift:
+class MapDrift(Stateful):
     """Covariance of the local map's frame against the odom frame's origin, and with the state's errors.
 
     Parameters
@@ -41,6 +43,13 @@ class MapDrift:
         What does not average out within a scan, as a share of one match's error: however many matches, a scan's pose is
         known no better than from ``1 / systematic^2`` independent ones an axis.
     """
+
+    _STATE: ClassVar = {
+        "_frame": array(np.float64, POSE_DIM, POSE_DIM),
+        "_cross": (array(np.float64, None, POSE_DIM), None),
+        "_pending": float,
+        "walked": float,
+    }
 
     def __init__(self, systematic: float) -> None:
         self._systematic = systematic

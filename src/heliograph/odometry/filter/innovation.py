@@ -12,9 +12,11 @@ likely one (covariance matching: R. Mehra, "On the identification of variances a
 from __future__ import annotations
 
 from collections import deque
+from typing import ClassVar
 
 from heliograph.chi_square import chi_square_quantile
 from heliograph.data.error_layout import POSE_DIM
+from heliograph.snapshots import Stateful
 
 __all__ = ["InnovationTest"]
 
@@ -22,7 +24,7 @@ _SCANS = 20  # over which corrections are summed: long enough for a slip that is
 _CHANCE = 1e-7  # of an alarm where nothing is wrong: one in a hundred days at ten scans a second
 
 
-class InnovationTest:
+class InnovationTest(Stateful):
     """Remembers how surprising the last corrections were.
 
     Parameters
@@ -30,6 +32,10 @@ class InnovationTest:
     scans : int, optional
         How many of them are summed.
     """
+
+    _STATE: ClassVar = {
+        "_past": [float],
+    }
 
     def __init__(self, scans: int = _SCANS) -> None:
         self._past: deque[float] = deque(maxlen=scans - 1)

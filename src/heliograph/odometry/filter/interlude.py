@@ -102,7 +102,7 @@ class Interlude:
         after = core.mark()
         placed = self._placed(again, packet, core, step)
         if _bears_out(placed, self._covered_since(packet.end_ns), core.usual_share):
-            core.restore(after)
+            core.come_back(after)
             return [*before, *_with_events(placed, [scan.result.events for scan in again]), result]
         return self._refused(held, packet, before_it, core, step)
 
@@ -133,7 +133,7 @@ class Interlude:
         step: Callable[[Packet], ScanResult],
     ) -> list[ScanResult]:
         """Take back a place that the scans before contradict: the scan waits like them."""
-        core.restore(mark)
+        core.come_back(mark)
         core.blindfolded = True
         try:
             result = step(packet)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Generic, Protocol, TypeVar
+from typing import ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from heliograph.maps import WindowedMap
 from heliograph.odometry.filter.drift import MapDrift
 from heliograph.odometry.filter.map_window import MapWindow
 from heliograph.registration import TrueShare
+from heliograph.snapshots import PART, Stateful, array
 
 __all__ = ["GrowingMap", "MapKeeper"]
 
@@ -47,7 +48,7 @@ class GrowingMap(Protocol[P_contra]):
 _PRUNE_DISTANCE = 10.0  # the map is pruned when the sensor has gone this far [m]
 
 
-class MapKeeper(Generic[P]):
+class MapKeeper(Stateful, Generic[P]):
     """A local map, how many scans it holds, how far back it reaches, and the drift of its frame.
 
     Parameters
@@ -60,6 +61,13 @@ class MapKeeper(Generic[P]):
     centre : (3,) float64
         Where the sensor is, odom frame [m].
     """
+
+    _STATE: ClassVar = {
+        "scans": int,
+        "drift": PART,
+        "_window": PART,
+        "_pruned_at": array(np.float64, 3),
+    }
 
     def __init__(self, local_map: GrowingMap[P], config: FilterConfig, window: MapConfig, centre: Array) -> None:
         self.map = local_map

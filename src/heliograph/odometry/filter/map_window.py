@@ -10,20 +10,22 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from heliograph.arrays import Array
 from heliograph.config import MapConfig
+from heliograph.snapshots import Stateful, array
 
-__all__ = ["MapWindow"]
+__all__ = ["MapWindow", "WindowMark"]
 
 _STRIDE = 0.5  # the way counts in strides of this length, so that the noise of a pose at rest does not add up [m]
 _STEPS = 6.0  # the map is looked through for what has left the window this often while the sensor goes its length
 
 
 @dataclass(frozen=True, slots=True)
-class _Mark:
+class WindowMark:
     """How many scans had been inserted, the way gone by then, and the variance that the frame had walked."""
 
     scans: int
@@ -31,7 +33,7 @@ class _Mark:
     walked: float
 
 
-class MapWindow:
+class MapWindow(Stateful):
     """Tells from when on the map may be matched.
 
     Parameters
@@ -40,12 +42,20 @@ class MapWindow:
         ``window`` and ``window_drift``.
     """
 
+    _STATE: ClassVar = {
+        "_marks": [WindowMark],
+        "_scans": int,
+        "_way": float,
+        "_at": (array(np.float64, 3), None),
+        "_done": (WindowMark, None),
+    }
+
     def __init__(self, config: MapConfig) -> None:
         self._length, self._drift = config.window, config.window_drift
-        self._marks: deque[_Mark] = deque()
+        self._marks: deque[WindowMark] = deque()
         self._scans, self._way = 0, 0.0
         self._at: Array | None = None
-        self._done: _Mark | None = None
+        self._done: WindowMark | None = None
 
     def begin(self) -> None:
         """Begin anew: the map was cleared."""
@@ -69,7 +79,7 @@ class MapWindow:
         stride = float(np.linalg.norm(position_odom - self._at))
         if stride >= _STRIDE:
             self._way, self._at = self._way + stride, position_odom
-        now = _Mark(self._scans, self._way, walked)
+        now = WindowMark(self._scans, self._way, walked)
         if self._marks and self._marks[-1].way == self._way and self._marks[-1].walked == walked:
             self._marks[-1] = now
         elif not self._marks or self._parts(self._marks[-1], now) > _STRIDE / self._length:
@@ -84,6 +94,6 @@ class MapWindow:
         self._done = oldest
         return self._scans - oldest.scans
 
-    def _parts(self, a: _Mark, b: _Mark) -> float:
+    def _parts(self, a: WindowMark, b: WindowMark) -> float:
         """Return which part of the window lies between two marks, by way or by drift, whichever is more."""
         return max((b.way - a.way) / self._length, float(np.sqrt(max(b.walked - a.walked, 0.0))) / self._drift)

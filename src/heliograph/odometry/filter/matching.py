@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from heliograph.odometry.filter.innovation import InnovationTest
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.update import FilterUpdate, iterated_update, weighed_less
 from heliograph.registration import MatchSettings, NormalEquations, linearize, true_share
+from heliograph.snapshots import PART, Stateful
 
 __all__ = ["AdaptiveNoise", "ScanMatcher", "Thinning", "register", "sweep_noise"]
 
@@ -39,11 +41,15 @@ _MOVED_LINE = (1.0 / 105.0, -11.0 / 210.0, 13.0 / 35.0)
 _SCALE_ITERATIONS = 4  # an iterated update stays no longer at one scale of its kernel
 
 
-class Thinning:
+class Thinning(Stateful):
     """Picks about ``target_points`` of a scan, spread evenly; the cube's edge follows from scan to scan.
 
     On surfaces the number of cubes falls with the square of their edge, so one step of the square root comes close.
     """
+
+    _STATE: ClassVar = {
+        "_leaf": float,
+    }
 
     def __init__(self, config: CloudConfig) -> None:
         self._config = config
@@ -195,7 +201,7 @@ def register(
     )
 
 
-class ScanMatcher:
+class ScanMatcher(Stateful):
     """Matches scans to a map, and remembers of them how noisy they are and how much of them usually matches.
 
     Parameters
@@ -204,6 +210,13 @@ class ScanMatcher:
     threads : int
         Threads of the native loops; the result does not depend on them.
     """
+
+    _STATE: ClassVar = {
+        "noise": AdaptiveNoise,
+        "thinning": PART,
+        "_usual_share": float,
+        "_innovations": PART,
+    }
 
     def __init__(self, config: RunConfig, *, threads: int) -> None:
         self.noise = AdaptiveNoise(config.filter.sigma)

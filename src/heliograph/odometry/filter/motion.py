@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +15,14 @@ from heliograph.data.error_layout import NAV, ROTATION
 from heliograph.imu import ImuPath, Prediction, predict
 from heliograph.lie import so3
 from heliograph.odometry.filter.unsteadiness import Unsteadiness
+from heliograph.snapshots import Stateful
 
 __all__ = ["MotionModel", "corrected_path", "rate_change", "sweep_path"]
 
 _SPEED_CHANGE = 1.0  # of a body within seconds [m/s]
 
 
-class MotionModel:
+class MotionModel(Stateful):
     """Predicts states from inertial samples, or from a constant velocity.
 
     The constant-velocity model is the same filter with an imaginary IMU that always reads zero in a world without
@@ -34,8 +36,14 @@ class MotionModel:
         Noise of the IMU; None selects the constant-velocity model.
     """
 
+    _STATE: ClassVar = {
+        "_unsteadiness": Unsteadiness,
+    }
+
     def __init__(self, imu: ImuConfig, filter_config: FilterConfig, noise: ImuNoise | None) -> None:
         self.inertial = noise is not None
+        self.noise = noise
+        """Noise of the IMU, None without one."""
         self._config = imu
         self._unsteadiness = Unsteadiness()
         self._noise = noise or ImuNoise(

@@ -8,8 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.config import RunConfig
-from heliograph.data import Event, GnssFix, ImuBatch, NavState, OnlineCalibration, Rig, Scan, ScanResult, StartAccount
+from heliograph.data import (
+    Event,
+    GnssFix,
+    ImuBatch,
+    ImuNoise,
+    NavState,
+    OnlineCalibration,
+    Rig,
+    Scan,
+    ScanResult,
+    StartAccount,
+)
 from heliograph.data.error_layout import GRAVITY
+from heliograph.errors import DataError
 from heliograph.imu.clock_shift import HALF_WINDOW
 from heliograph.lie import so3
 from heliograph.maps import LocalMap
@@ -19,6 +31,7 @@ from heliograph.odometry.filter.interlude import Interlude
 from heliograph.odometry.filter.motion import MotionModel
 from heliograph.odometry.filter.start import FirstLook, find_start, look
 from heliograph.odometry.sequencer import Packet, Sequencer
+from heliograph.snapshots import PART, Snapshot, require
 
 __all__ = ["FilterOdometry", "ScanEstimator"]
 
@@ -26,11 +39,28 @@ __all__ = ["FilterOdometry", "ScanEstimator"]
 _KEEP_FACTOR = 20
 _REMARK_TILT_DEG, _WARNING_TILT_DEG = 0.2, 1.0  # sigma of the level that deserves a remark, a warning [deg]
 
+_STATE = {
+    "events": [Event],
+    "start": (StartAccount, None),
+    "noise": (ImuNoise, None),
+    "sequencer": PART,
+    "waiting": [Packet],
+    "core": PART,
+}
+
 
 class ScanEstimator(Protocol):
     """One state that steps from scan to scan, whatever it matches."""
 
     state: NavState
+
+    def snapshot(self) -> Snapshot:
+        """Return what the next scans depend on."""
+        ...
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the state of another one that was made alike."""
+        ...
 
     @property
     def calibration(self) -> OnlineCalibration | None:
@@ -76,6 +106,8 @@ class FilterOdometry:
         self.events: list[Event] = []
         self.core: ScanEstimator | None = None
         self.start: StartAccount | None = None
+        self.motion: MotionModel | None = None
+        """What carries the state from scan to scan, once there is a start."""
         self._config, self._threads, self._local_map = config, threads, local_map
         self._rig = uncertain_rig(rig, config.filter)
         self._sensors = sensors & {"lidar", "imu"}
@@ -97,6 +129,36 @@ class FilterOdometry:
             self._ended = True
             self.events += [*self._doubts(), *self._calibrated()]
         return results
+
+    @property
+    def between(self) -> bool:
+        """Whether scans wait for a start, or for a place: until that is found there is no state to go on from."""
+        return self.core is None or self._interlude.lasts
+
+    def snapshot(self) -> Snapshot:
+        """Return what the next messages' results depend on; not `between`."""
+        if self.core is None or self.between:
+            raise DataError("an odometry whose scans wait for a start or a place has no state to go on from")
+        return {
+            "events": self.events,
+            "start": self.start,
+            "noise": self.motion.noise if self.motion is not None else None,
+            "sequencer": self._sequencer.snapshot(),
+            "waiting": self._waiting,
+            "core": self.core.snapshot(),
+        }
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Take up the state of another one that was made with the same arguments."""
+        require(self, snapshot, _STATE)
+        state, noise = snapshot["core"].get("state"), snapshot["noise"]
+        if not isinstance(state, NavState):
+            raise DataError("the state of an odometry holds no pose to go on from")
+        self.events, self.start, self._waiting = snapshot["events"], snapshot["start"], snapshot["waiting"]
+        self._sequencer.restore(snapshot["sequencer"])
+        self.motion = MotionModel(self._config.imu, self._config.filter, noise)
+        self.core = self._make_core(state, self.motion)
+        self.core.restore(snapshot["core"])
 
     def leveling(self) -> NDArray[np.float64]:
         """Return ``T_leveled_odom`` (4, 4): the smallest rotation that lets the latest gravity point down."""
@@ -172,6 +234,7 @@ class FilterOdometry:
         self.events += start.events
         self.start = start.account
         state = with_calibration(start.state, self._config.filter) if start.motion.inertial else start.state
+        self.motion = start.motion
         self.core = self._make_core(state, start.motion)
         return True
 

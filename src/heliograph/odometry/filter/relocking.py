@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from heliograph.maps import LocalMap
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.update import FilterUpdate
 from heliograph.registration import align
+from heliograph.snapshots import Stateful, array, fixed
 
 __all__ = ["Relocker", "find_place", "find_place_anywhere", "new_piece"]
 
@@ -47,8 +49,20 @@ _MAX_AWAY = 4.0  # sigmas of the prediction within which a place must lie that w
 _ELSEWHERE, _TURNED = 0.6, np.radians(12.0)  # apart by more, two places are two [m], [rad]
 
 
-class Relocker:
+class Relocker(Stateful):
     """Follows how long scans have found no place, seeks them widely, and gives the map up when that does not help."""
+
+    _STATE: ClassVar = {
+        "seeking": bool,
+        "_matched_ns": (int, None),
+        "_period_ns": float,
+        "_since_ns": (int, None),
+        "_first_ns": int,
+        "_count": int,
+        "_last_ns": int,
+        "_events": [Event],
+        "_remembered": (fixed(array(np.float32, None, 3), array(np.float64, 4, 4)), None),
+    }
 
     def __init__(self) -> None:
         self.seeking = False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,11 +26,12 @@ from heliograph.odometry.filter.motion import MotionModel, corrected_path, sweep
 from heliograph.odometry.filter.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.loam.matching import FeatureMatcher, PoseFit, anchored
 from heliograph.odometry.loam.sweep import FeatureSweep
+from heliograph.snapshots import PART, Stateful
 
 __all__ = ["LoamCore"]
 
 
-class LoamCore:
+class LoamCore(Stateful):
     """LOAM proper: a state, a map of features, and one step a scan.
 
     Parameters
@@ -43,6 +46,17 @@ class LoamCore:
     threads : int
         Threads of the native loops; the results do not depend on them.
     """
+
+    _STATE: ClassVar = {
+        "state": NavState,
+        "map": PART,
+        "_motion": PART,
+        "_keeper": PART,
+        "_matcher": PART,
+        "_rule": (LineRule, None),
+        "_history": (ImuPath, None),
+        "_count": int,
+    }
 
     def __init__(
         self, start: NavState, motion: MotionModel, config: RunConfig, *, events: list[Event], threads: int = 1

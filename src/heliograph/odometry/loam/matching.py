@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from heliograph.odometry.filter.motion import sweep_path
 from heliograph.odometry.filter.update import FilterUpdate, iterated_update
 from heliograph.odometry.loam.sweep import FeatureSweep
 from heliograph.registration import FeatureNoise, FeatureRegistration, TrueShare, register_features
+from heliograph.snapshots import Stateful
 
 __all__ = ["FeatureMatcher", "PoseFit", "anchored", "fused"]
 
@@ -43,7 +45,7 @@ class PoseFit:
         return self.update.state
 
 
-class FeatureMatcher:
+class FeatureMatcher(Stateful):
     """Registers sweeps to a map of features, and remembers how noisy they are and how many of them usually match.
 
     Parameters
@@ -52,6 +54,11 @@ class FeatureMatcher:
     threads : int
         Threads of the native loops; the results do not depend on them.
     """
+
+    _STATE: ClassVar = {
+        "noise": FeatureNoise,
+        "_usual_share": float,
+    }
 
     def __init__(self, config: RunConfig, *, threads: int) -> None:
         self.noise = FeatureNoise(edge=config.loam.edge_sigma, plane=config.loam.plane_sigma)

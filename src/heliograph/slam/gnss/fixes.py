@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import Array, Stamps
+from heliograph.arrays import Array, Stamps, freeze
 from heliograph.config import RunConfig
 from heliograph.data import Event, Georeference, GnssAccount, GnssFix, JudgedFix
 from heliograph.factors import AnchoredPosition
@@ -20,8 +21,9 @@ from heliograph.slam.gnss.intake import FixIntake
 from heliograph.slam.gnss.judge import judge
 from heliograph.slam.gnss.kept import KeptFixes
 from heliograph.slam.gnss.track import OdometryTrack
+from heliograph.snapshots import PART, Stateful, array
 
-__all__ = ["GnssFactors"]
+__all__ = ["FixesInForce", "GnssFactors"]
 
 X, E, L = Symbol("X"), Symbol("E"), Symbol("L")
 _FEWEST = 10  # fixes from which anything is told
@@ -65,15 +67,19 @@ def judgement_events(judged: Judgement, stamps_ns: Stamps) -> list[Event]:
     return events
 
 
-class _InForce(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class FixesInForce:
     """What the smoother holds of the fixes: its numbers for them, and the judgement and fixes that they come from."""
 
     numbers: NDArray[np.int32]
     judgement: Judgement
     fixes: NDArray[np.int64]
 
+    def __post_init__(self) -> None:
+        freeze(self)
 
-class GnssFactors:
+
+class GnssFactors(Stateful):
     """Collects fixes, judges them when there are enough, and keeps the smoother's factors of them up to date.
 
     Parameters
@@ -82,6 +88,17 @@ class GnssFactors:
     antenna_imu : (3,) float64, optional
         The antenna in the imu frame, where the recording tells it [m].
     """
+
+    _STATE: ClassVar = {
+        "intake": PART,
+        "track": PART,
+        "_due_at": int,
+        "_judgement": (Judgement, None),
+        "_judged": array(np.int64, None),
+        "_in_force": (FixesInForce, None),
+        "_inertial": bool,
+        "_reason": str,
+    }
 
     def __init__(self, config: RunConfig, antenna_imu: Array | None = None) -> None:
         self._config = config.gnss
@@ -93,7 +110,7 @@ class GnssFactors:
         self._due_at = _FEWEST
         self._judgement: Judgement | None = None
         self._judged: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
-        self._in_force: _InForce | None = None
+        self._in_force: FixesInForce | None = None
         self._kept: KeptFixes | None = None
         self._inertial = True
         self._reason = "the recording holds no fix that can be used"
@@ -270,7 +287,7 @@ class GnssFactors:
             gone = self._in_force.numbers
         graph = self._graph(judgement, inertial=inertial)
         result = smoother.update(graph, values if first else None, remove=gone, iterate=_CONVERGED)
-        self._in_force = _InForce(result.factors, judgement, known)
+        self._in_force = FixesInForce(result.factors, judgement, known)
 
     def _withdraw(self, smoother: ISAM2) -> bool:
         """Take back what was brought in before all fixes together spoke against it; return whether anything was."""

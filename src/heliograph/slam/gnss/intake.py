@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from heliograph.arrays import Array, Stamps
 from heliograph.config import GnssConfig
 from heliograph.data import Event, GnssFix
 from heliograph.geodesy import geodetic_to_enu
+from heliograph.snapshots import Stateful, array, fixed
 
 __all__ = ["FixIntake"]
 
@@ -19,13 +21,23 @@ _FAR = 200_000.0  # fixes farther from the first are of another place, or of ano
 _HIGHEST, _DEEPEST = 20_000.0, -12_000.0  # [m]
 
 
-class FixIntake:
+class FixIntake(Stateful):
     """Collects the fixes of a run about an origin at the first that can be used.
 
     Parameters
     ----------
     config : GnssConfig
     """
+
+    _STATE: ClassVar = {
+        "fixes": [GnssFix],
+        "refused": [str],
+        "origin": (array(np.float64, 3), None),
+        "_stamps": [int],
+        "_p": [array(np.float64, 3)],
+        "_P": [array(np.float64, 3, 3)],
+        "_last": (fixed(float, float, float), None),
+    }
 
     def __init__(self, config: GnssConfig) -> None:
         self._config = config

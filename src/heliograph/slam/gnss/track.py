@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import Array, Mask, Stamps
 from heliograph.lie import interpolate_se3, se3
+from heliograph.snapshots import Stateful, array
 
 __all__ = ["OdometryTrack"]
 
 _LONGEST_NS = 500_000_000  # between two scans, nothing is interpolated across a longer gap
 
 
-class OdometryTrack:
+class OdometryTrack(Stateful):
     """Poses of all matched scans, in order."""
+
+    _STATE: ClassVar = {
+        "_stamps": [int],
+        "_poses": [array(np.float64, 4, 4)],
+    }
 
     def __init__(self) -> None:
         self._stamps: list[int] = []

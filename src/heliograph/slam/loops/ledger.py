@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from heliograph.config import LoopConfig
 from heliograph.errors import DataError
 from heliograph.slam.loops.judge import agreements, judge, judge_together
 from heliograph.slam.loops.records import REASONS, LoopDecision, LoopEvidence, RelativePose
+from heliograph.snapshots import Stateful, fixed
 
 __all__ = ["Ledger", "LedgerEntry"]
 
@@ -33,7 +35,7 @@ class LedgerEntry:
     decision: LoopDecision
 
 
-class Ledger:
+class Ledger(Stateful):
     """Candidates and decisions. It changes only by its verbs, and each says which entries changed.
 
     Parameters
@@ -42,6 +44,11 @@ class Ledger:
     entries : iterable of LedgerEntry
         Those of an earlier session, in their order.
     """
+
+    _STATE: ClassVar = {
+        "_entries": [LedgerEntry],
+        "_agree": {fixed(int, int): bool},
+    }
 
     def __init__(self, config: LoopConfig | None = None, entries: Iterable[LedgerEntry] = ()) -> None:
         self.config = config or LoopConfig()

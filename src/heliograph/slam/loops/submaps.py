@@ -55,19 +55,28 @@ class LocalMaps:
     def __init__(self, submaps: Submaps, config: AlignConfig, *, kept: int = 64) -> None:
         self.submaps, self.config = submaps, config
         self._kept = kept
-        self._maps: OrderedDict[tuple[int, int, int], PreparedCloud] = OrderedDict()
+        self._maps: OrderedDict[tuple[int, int, int], PreparedCloud | None] = OrderedDict()  # None: made when asked for
 
     def around(self, centre: int, first: int, last: int) -> PreparedCloud:
         """Return the map of keyframes ``first`` to ``last`` (both included) in the body frame of ``centre``."""
         key = (centre, first, last)
-        if key in self._maps:
-            self._maps.move_to_end(key)
-        else:
+        found = self._maps.get(key)
+        if found is None:
             points = local_map(self.submaps, centre, range(first, last + 1))
-            self._maps[key] = prepare_cloud(points, self.config, name=f"local map of keyframe {centre}")
-            while len(self._maps) > self._kept:
-                self._maps.popitem(last=False)
-        return self._maps[key]
+            found = self._maps[key] = prepare_cloud(points, self.config, name=f"local map of keyframe {centre}")
+        self._maps.move_to_end(key)
+        while len(self._maps) > self._kept:
+            self._maps.popitem(last=False)
+        return found
+
+    @property
+    def held(self) -> list[tuple[int, int, int]]:
+        """Centre, first and last keyframe of each map that is there, those that were not asked for longest first."""
+        return list(self._maps)
+
+    def hold(self, maps: Iterable[tuple[int, int, int]]) -> None:
+        """Have these maps and no others, as `held` names them: each is made when it is asked for."""
+        self._maps = OrderedDict((key, None) for key in maps)
 
     def holds(self, centre: int, first: int, last: int) -> bool:
         """Whether a map is there already."""
