@@ -54,6 +54,7 @@ ALLOWED: dict[str, set[str]] = {
     "survey": COMMON | SLAM | {"slam", "io", "output"},
     "revision": COMMON | SLAM | {"slam", "io", "output"},
     "localization": COMMON | SLAM | {"slam", "io", "output", "revision"},
+    "merging": COMMON | SLAM | {"slam", "io", "output", "revision", "localization"},
     "calibration": COMMON | SLAM,
     "io": COMMON | SENSING,
     "sim": COMMON | SENSING,
@@ -74,7 +75,7 @@ ALLOWED: dict[str, set[str]] = {
     "cli": COMMON
     | SLAM
     | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report"}
-    | {"comparison", "localization", "revision", "support", "survey", "lab", "checkpoint"},
+    | {"comparison", "localization", "merging", "revision", "support", "survey", "lab", "checkpoint"},
 }
 """Room below `heliograph` -> the rooms that it may import."""
 

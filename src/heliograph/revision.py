@@ -12,7 +12,7 @@ import numpy as np
 
 from heliograph.arrays import Array, freeze
 from heliograph.atomic import atomic_folder, write_text
-from heliograph.config import RunConfig
+from heliograph.config import OutputConfig, RunConfig
 from heliograph.config_toml import load_config
 from heliograph.data import GraphAccount
 from heliograph.errors import DataError, FormatError
@@ -32,7 +32,7 @@ from heliograph.slam.graph_files import write_graph_files
 from heliograph.slam.loops import Ledger, LedgerEntry
 from heliograph.slam.loops.ledger_file import read_ledger
 
-__all__ = ["RunGraph", "open_run_graph"]
+__all__ = ["RunGraph", "open_run_graph", "write_keyframe_map"]
 
 X = Symbol("X")
 _SCANS = "scans.csv"
@@ -119,7 +119,11 @@ class RunGraph:
                 if (self.folder / name).is_file():
                     rewrite(self.folder / name, moved, folder / name)
             account = back_end.account(files=write_graph_files(folder, back_end))
-            facts = {**self.facts, "graph": graph_facts(account), "map_points": self._write_map(folder, T_new)}
+            facts = {
+                **self.facts,
+                "graph": graph_facts(account),
+                "map_points": write_keyframe_map(self.store, T_new, self.config.output, folder),
+            }
             if "wheels" in self.facts["graph"]:
                 facts["graph"]["wheels"] = self.facts["graph"]["wheels"]
             if "gnss" in self.facts["graph"]:
@@ -132,17 +136,23 @@ class RunGraph:
             write_text(folder / "run.json", json.dumps(facts, indent=2) + "\n")
         return account
 
-    def _write_map(self, folder: Path, T_map_imu: Array) -> int:
-        """Write the map and return the number of its points."""
-        output = self.config.output
-        whole = GlobalMap(output.map_voxel)
-        for keyframe, T in zip(self.store, T_map_imu, strict=True):
-            whole.insert(keyframe.points_imu, keyframe.intensity, np.ascontiguousarray(T))
-        points, intensity = whole.points(), whole.intensity()
-        if output.surface_thickness > 0.0:
-            points, intensity = whole.surfaces(output.surface_thickness)
-        write_cloud(folder / f"map.{output.map_format}", points, intensity)
-        return len(points)
+
+def write_keyframe_map(store: KeyframeStore, T_map_imu: Array, output: OutputConfig, folder: Path) -> int:
+    """Put a map together from keyframes' clouds, write it as a run does, and return the number of its points.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    whole = GlobalMap(output.map_voxel)
+    for keyframe, T in zip(store, T_map_imu, strict=True):
+        whole.insert(keyframe.points_imu, keyframe.intensity, np.ascontiguousarray(T))
+    points, intensity = whole.points(), whole.intensity()
+    if output.surface_thickness > 0.0:
+        points, intensity = whole.surfaces(output.surface_thickness)
+    write_cloud(folder / f"map.{output.map_format}", points, intensity)
+    return len(points)
 
 
 def open_run_graph(folder: Path | str) -> RunGraph:

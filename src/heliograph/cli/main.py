@@ -22,6 +22,7 @@ from heliograph.cli import (
     lab,
     localize,
     loops,
+    merge,
     run,
     simulate,
     solve,
@@ -56,6 +57,7 @@ app.command(
     "localize", cls=PluggableCommand, short_help="A recording in a saved map: where it is, or that it is not known."
 )(localize.localize)
 app.command("loops", short_help="A run's loops: list, explain, revoke, add by hand.")(loops.loops)
+app.command("merge", short_help="Several runs in one map, from their folders.")(merge.merge)
 app.command("survey", short_help="A run in a coordinate system, tied to control points.")(survey.survey)
 app.command("compare", short_help="Runs side by side: distances, maps, loops, settings that differ.")(compare.compare)
 app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)

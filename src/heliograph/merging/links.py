@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from heliograph.arrays import Array, freeze
+from heliograph.arrays import Array, Mask, freeze
 from heliograph.config import LoopConfig
 from heliograph.errors import DataError
 from heliograph.lie import se3
@@ -113,8 +113,9 @@ def _verified(
     """Register local maps as those of a loop, from a place that was found."""
     match = _nearest(there, T)
     settings = loop_align_config(config)
-    target = _local(there, match, config).around(match, *_ends(there, match, config, both=True))
-    source = _local(here, query, config).around(query, *_ends(here, query, config, both=False))
+    far, near = _ends(there, match, config, both=True), _ends(here, query, config, both=False)
+    target = LocalMaps(there, settings, kept=1).around(match, *far)
+    source = LocalMaps(here, settings, kept=1).around(query, *near)
     start = np.ascontiguousarray(se3.inverse(there.T_map_imu[match]) @ T)
     result = align(target, source, start=start, config=settings)
     if result.T_target_source is None or result.covariance is None:
@@ -125,7 +126,10 @@ def _verified(
         source="place",
         status=result.status,
         T_match_query=result.T_target_source,
-        covariance=config.correlation * result.covariance + diagonal(config.sigma_deg, config.sigma),
+        covariance=config.correlation * result.covariance
+        + diagonal(config.sigma_deg, config.sigma)
+        + _bent(there, match, far[0])
+        + _bent(here, query, near[0]),
         overlap_query=result.overlap_source,
         overlap_match=result.overlap_target,
         inliers=result.inliers / max(result.matches, 1),
@@ -143,15 +147,17 @@ def _verified(
     return with_blur(evidence, target, source, config)
 
 
-def _local(session: RunSession, _: int, config: LoopConfig) -> LocalMaps:
-    return LocalMaps(session, loop_align_config(config), kept=1)
-
-
 def _ends(session: RunSession, centre: int, config: LoopConfig, *, both: bool) -> tuple[int, int]:
     """Return the first and last keyframe of a local map; a query has none after it."""
     first = window_end(centre, max(0, centre - config.before), session.relative, config.fine_smear)
     last = min(centre + config.after, len(session) - 1) if both else centre
     return first, window_end(centre, last, session.relative, config.fine_smear)
+
+
+def _bent(session: RunSession, centre: int, end: int) -> Array:
+    """Return the covariance that a local map's bend gives to a registration by it: that of its middle keyframe."""
+    middle = (centre + end) // 2
+    return session.relative(middle, centre)[1] if middle < centre else np.zeros((6, 6))
 
 
 def _nearest(session: RunSession, T: Array) -> int:
@@ -161,7 +167,7 @@ def _nearest(session: RunSession, T: Array) -> int:
     return int(np.argmin(apart + 30.0 * turned))
 
 
-def _agreement(loops: list[LoopEvidence], there: RunSession, here: RunSession, config: LoopConfig) -> Array:
+def _agreement(loops: list[LoopEvidence], there: RunSession, here: RunSession, config: LoopConfig) -> Mask:
     """Return which links agree pair by pair, (N, N) bool.
 
     Keyframes of the two runs have their numbers one behind the other, so that a way is asked of the run that it is in.

@@ -128,9 +128,7 @@ def _frames(sessions: Sequence[RunSession], sure: Mapping[tuple[int, int], Seque
     """Return ``T_map0_mapk`` of the runs that sure links reach from the first one, over the most links first."""
     poses = {0: np.eye(4)}
     while True:
-        open_pairs = [
-            (len(some), pair) for pair, some in sure.items() if some and len(set(pair) & set(poses)) == 1
-        ]
+        open_pairs = [(len(some), pair) for pair, some in sure.items() if some and len(set(pair) & set(poses)) == 1]
         if not open_pairs:
             return poses
         a, b = max(open_pairs)[1]

@@ -94,7 +94,11 @@ class InertialFactors:
             graph.add(CombinedImu(i, bias_i, j, bias_j, motion, gravity=self._gravity, keep_samples=False))
         else:
             graph.add(PartialPrior(j, state, VELOCITY_ROWS, Diagonal(np.full(3, _SPEED))))
-            graph.add(Between(bias_i, bias_j, np.zeros(6), self._walk((keyframe.stamp_ns - before.stamp_ns) * 1e-9)))
+            if _begins(keyframe):  # another session: perhaps the sensor was off, perhaps it is another one
+                graph.add(Prior(bias_j, _biases(keyframe), self._bias_noise()))
+            else:
+                walk = self._walk((keyframe.stamp_ns - before.stamp_ns) * 1e-9)
+                graph.add(Between(bias_i, bias_j, np.zeros(6), walk))
         values.insert(j, state)
         values.insert(bias_j, _biases(keyframe))
         return graph, values
@@ -105,6 +109,11 @@ class InertialFactors:
     def _walk(self, seconds: float) -> Diagonal:
         walks = np.repeat([max(self._imu.gyro_walk, 1e-9), max(self._imu.accel_walk, 1e-9)], 3)
         return Diagonal(walks * math.sqrt(seconds))
+
+
+def _begins(keyframe: Keyframe) -> bool:
+    """Whether nothing is known of the step to a keyframe: another session begins with it."""
+    return float(np.sqrt(np.trace(keyframe.step_covariance[3:, 3:]))) >= _UNSEEN
 
 
 def seen_covariance(before: Keyframe, keyframe: Keyframe) -> Array:
