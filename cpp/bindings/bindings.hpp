@@ -69,6 +69,7 @@ auto unlocked(Work&& work) {
 void bind_alignment(nb::module_& m);
 void bind_cloud(nb::module_& m);
 void bind_features(nb::module_& m);
+void bind_global_maps(nb::module_& m);
 void bind_graph_problem(nb::module_& m);
 void bind_graph_diagnosis(nb::module_& m);
 void bind_graph_files(nb::module_& m);

@@ -10,6 +10,7 @@ NB_MODULE(_core, m) {
   heliograph::bind_alignment(m);
   heliograph::bind_cloud(m);
   heliograph::bind_features(m);
+  heliograph::bind_global_maps(m);
   heliograph::bind_graph_problem(m);
   heliograph::bind_graph_diagnosis(m);
   heliograph::bind_graph_files(m);

@@ -53,6 +53,7 @@ double FeatureMap::insert(std::span<const float> points_body, const double* T) {
     for (int i = 0; i < 3; ++i) q[i] = T[4 * i] * x + T[4 * i + 1] * y + T[4 * i + 2] * z + T[4 * i + 3];
     if (!(std::abs(q[0]) < kFarthest && std::abs(q[1]) < kFarthest && std::abs(q[2]) < kFarthest)) continue;
     const Cube cube{floor_index(q[0] * inverse + kShift), floor_index(q[1] * inverse + kShift), floor_index(q[2] * inverse + kShift)};
+    last_ = cube;
     const uint64_t around = pack(0, {cube.x >> kCoarse, cube.y >> kCoarse, cube.z >> kCoarse});
     const auto [there, is_new_place] = coarse_.insert(around, static_cast<uint32_t>(coarse_cells_.size()));
     if (is_new_place) coarse_cells_.push_back({around, 0});
@@ -74,17 +75,18 @@ double FeatureMap::insert(std::span<const float> points_body, const double* T) {
   return touched > 0 ? static_cast<double>(fresh) / static_cast<double>(touched) : 0.0;
 }
 
-void FeatureMap::place(const Cell& cell, double* out) const {
-  const Cube cube = unpack(cell.key);
+void FeatureMap::place(const Cell& cell, const Cube& near, double* out) const {
+  const Cube cube = unpack_near(cell.key, near);
   const double centre[3] = {static_cast<double>(cube.x) + kMiddle, static_cast<double>(cube.y) + kMiddle, static_cast<double>(cube.z) + kMiddle};
   for (int i = 0; i < 3; ++i) out[i] = centre[i] * settings_.voxel + static_cast<double>(cell.mean[i]);
 }
 
 void FeatureMap::prune(const double* centre, double radius, size_t max_cells) {
   std::vector<std::pair<double, uint32_t>> kept;
+  const Cube near = cube_at(centre, settings_.voxel);
   for (uint32_t id = 0; id < cells_.size(); ++id) {
     double p[3], square = 0.0;
-    place(cells_[id], p);
+    place(cells_[id], near, p);
     for (int i = 0; i < 3; ++i) square += (p[i] - centre[i]) * (p[i] - centre[i]);
     if (square <= radius * radius) kept.emplace_back(square, id);
   }
@@ -101,7 +103,7 @@ void FeatureMap::prune(const double* centre, double radius, size_t max_cells) {
     const Cell& cell = old[id];
     index_.insert(cell.key, static_cast<uint32_t>(cells_.size()));
     cells_.push_back(cell);
-    const Cube cube = unpack(cell.key);
+    const Cube cube = unpack_near(cell.key, near);
     const uint64_t around = pack(0, {cube.x >> kCoarse, cube.y >> kCoarse, cube.z >> kCoarse});
     if (coarse_.insert(around, static_cast<uint32_t>(coarse_cells_.size())).second) coarse_cells_.push_back({around, 0});
   }
@@ -137,7 +139,7 @@ FeatureMatch FeatureMap::match(const double* q, double sigma) const {
     const FlatIndex::Slot* slot = index_.find(pack(0, cube));
     if (slot == nullptr) continue;
     double p[3], square = 0.0;
-    place(cells_[slot->value], p);
+    place(cells_[slot->value], home, p);
     for (int i = 0; i < 3; ++i) square += (p[i] - q[i]) * (p[i] - q[i]);
     if (square > farthest) continue;
     size_t k = some < wanted ? some++ : wanted - 1;
@@ -153,7 +155,7 @@ FeatureMatch FeatureMap::match(const double* q, double sigma) const {
   for (size_t k = 0; k < some; ++k) {
     const Cell& cell = cells_[near[k].id];
     double p[3];
-    place(cell, p);
+    place(cell, home, p);
     w[k] = std::min(static_cast<double>(cell.count), kMostWeight);
     weight += w[k];
     for (size_t i = 0; i < 3; ++i) {
@@ -196,7 +198,7 @@ FeatureMatch FeatureMap::match(const double* q, double sigma) const {
 std::vector<double> FeatureMap::cells() const {
   std::vector<double> out(4 * cells_.size());
   for (size_t id = 0; id < cells_.size(); ++id) {
-    place(cells_[id], out.data() + 4 * id);
+    place(cells_[id], last_, out.data() + 4 * id);
     out[4 * id + 3] = static_cast<double>(cells_[id].count);
   }
   return out;

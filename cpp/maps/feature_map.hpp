@@ -68,7 +68,8 @@ class FeatureMap {
   struct Step {
     int8_t x, y, z;
   };
-  void place(const Cell& cell, double* out) const;
+  // Where a cell's mean lies; of the cubes that share its key the one nearest to `near`.
+  void place(const Cell& cell, const Cube& near, double* out) const;
 
   FeatureMapSettings settings_;
   FlatIndex index_, coarse_;
@@ -76,6 +77,7 @@ class FeatureMap {
   std::vector<Coarse> coarse_cells_;
   std::vector<Step> steps_;  // to the cubes around, near ones first
   uint32_t insertions_ = 0;
+  Cube last_{0, 0, 0};  // a point was put in here last
 };
 
 }  // namespace heliograph

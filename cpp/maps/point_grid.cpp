@@ -68,8 +68,9 @@ void PointGrid::insert(const double* p, uint32_t insertion) {
 
 void PointGrid::prune(const double* centre, double radius) {
   std::vector<uint8_t> wanted(buckets_.size());
+  const Cube near = cube_at(centre, size_);
   for (size_t id = 0; id < buckets_.size(); ++id) {
-    const Cube cube = unpack(buckets_[id].key);
+    const Cube cube = unpack_near(buckets_[id].key, near);
     const double dx = (static_cast<double>(cube.x) + 0.5) * size_ - centre[0];
     const double dy = (static_cast<double>(cube.y) + 0.5) * size_ - centre[1];
     const double dz = (static_cast<double>(cube.z) + 0.5) * size_ - centre[2];

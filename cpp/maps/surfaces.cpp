@@ -141,8 +141,8 @@ Spread thinnest(const Eigen::Matrix3d& a) {
 
 class Surfaces {
  public:
-  Surfaces(std::span<const MapCell> cells, double voxel, double thickness, int threads)
-      : cells_(cells), voxel_(voxel), edge_(static_cast<float>(voxel)), thickness_(thickness),
+  Surfaces(std::span<const MapCell> cells, const Cube& origin, double voxel, double thickness, int threads)
+      : cells_(cells), origin_(origin), voxel_(voxel), edge_(static_cast<float>(voxel)), thickness_(thickness),
         gate_(kGate * static_cast<float>(thickness)), reach_(1.0F / (kRadius * edge_ * kRadius * edge_)),
         threads_(threads) {
     sort();
@@ -347,13 +347,16 @@ class Surfaces {
   }
 
   SurfacePoints averaged(size_t count) const {
-    SurfacePoints out{std::vector<float>(3 * count), std::vector<float>(count), std::vector<float>(count)};
+    SurfacePoints out{std::vector<double>(3 * count), std::vector<float>(count), std::vector<float>(count),
+                      std::vector<uint32_t>(count, kNone)};
+    std::vector<Vec> moved(count, Vec{0.0F, 0.0F, 0.0F});
     for (uint32_t i = 0; i < target_.size(); ++i) {  // from the root's own place: what stays alone stays as it is
       const uint32_t root = target_[i];
       const size_t number = number_[order_[root]];
       const Vec d = place(i, root) - place(root, root);
       const float n = sites_[i].count;
-      out.points[3 * number] += n * d.x, out.points[3 * number + 1] += n * d.y, out.points[3 * number + 2] += n * d.z;
+      moved[number] = moved[number] + n * d;
+      out.first[number] = std::min(out.first[number], cells_[order_[i]].first());
       out.intensity[number] += cells_[order_[i]].intensity;
       out.counts[number] += n;
     }
@@ -362,17 +365,17 @@ class Surfaces {
       const size_t number = number_[order_[i]];
       const Cube cube = unpack(keys_[i]);
       const Vec own = place(i, i);
-      const double at[3] = {(static_cast<double>(cube.x) + 0.5) * voxel_ + own.x,
-                            (static_cast<double>(cube.y) + 0.5) * voxel_ + own.y,
-                            (static_cast<double>(cube.z) + 0.5) * voxel_ + own.z};
-      for (size_t k = 0; k < 3; ++k)
-        out.points[3 * number + k] = static_cast<float>(at[k] + out.points[3 * number + k] / out.counts[number]);
+      const float n = out.counts[number];
+      out.points[3 * number] = (static_cast<double>(origin_.x + cube.x) + 0.5) * voxel_ + own.x + moved[number].x / n;
+      out.points[3 * number + 1] = (static_cast<double>(origin_.y + cube.y) + 0.5) * voxel_ + own.y + moved[number].y / n;
+      out.points[3 * number + 2] = (static_cast<double>(origin_.z + cube.z) + 0.5) * voxel_ + own.z + moved[number].z / n;
       out.intensity[number] /= out.counts[number];
     }
     return out;
   }
 
   std::span<const MapCell> cells_;
+  Cube origin_;
   double voxel_;
   float edge_;
   double thickness_;
@@ -392,8 +395,9 @@ class Surfaces {
 
 }  // namespace
 
-SurfacePoints surface_points(std::span<const MapCell> cells, double voxel, double thickness, int threads) {
-  return Surfaces(cells, voxel, thickness, threads).points();
+SurfacePoints surface_points(std::span<const MapCell> cells, const Cube& origin, double voxel, double thickness,
+                             int threads) {
+  return Surfaces(cells, origin, voxel, thickness, threads).points();
 }
 
 }  // namespace heliograph

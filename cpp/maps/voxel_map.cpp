@@ -98,7 +98,8 @@ uint32_t VoxelMap::locate(uint64_t key, size_t* created) {
 void VoxelMap::add(const Delta& delta, uint64_t key, uint32_t id) {
   Moments& m = moments_[id];
   const double fine = settings_.voxel, coarse = edge(key_level(key));
-  const Cube cube = unpack(key);
+  const uint64_t level = key_level(key);
+  const Cube cube{delta.cube.x >> level, delta.cube.y >> level, delta.cube.z >> level};
   const float d[3] = {
       static_cast<float>((static_cast<double>(delta.cube.x) + 0.5) * fine - (static_cast<double>(cube.x) + 0.5) * coarse),
       static_cast<float>((static_cast<double>(delta.cube.y) + 0.5) * fine - (static_cast<double>(cube.y) + 0.5) * coarse),
@@ -191,7 +192,7 @@ void VoxelMap::refit(uint32_t id) {
 void VoxelMap::lean_on_coarser(const Moments& m, Plane* plane) const {
   const uint64_t level = key_level(m.key) + 1;
   if (level >= static_cast<uint64_t>(settings_.levels)) return;
-  const Cube cube = unpack(m.key);
+  const Cube cube = cube_of(m.key);
   const FlatIndex::Slot* slot = index_.find(pack(level, {cube.x >> 1, cube.y >> 1, cube.z >> 1}));
   if (slot == nullptr || planes_[slot->value].variance < 0.0F) return;
   const Plane& coarse = planes_[slot->value];
@@ -252,8 +253,8 @@ size_t VoxelMap::coarse_cubes() {
 void VoxelMap::prune(const double* centre, double radius, size_t max_voxels) {
   std::vector<double> distance2(planes_.size());
   for (size_t id = 0; id < planes_.size(); ++id) {
-    const Cube cube = unpack(moments_[id].key);
     const double size = edge(key_level(moments_[id].key));
+    const Cube cube = unpack_near(moments_[id].key, cube_at(centre, size));
     const double dx = (static_cast<double>(cube.x) + 0.5) * size - centre[0];
     const double dy = (static_cast<double>(cube.y) + 0.5) * size - centre[1];
     const double dz = (static_cast<double>(cube.z) + 0.5) * size - centre[2];
@@ -290,6 +291,13 @@ void VoxelMap::keep(const std::vector<uint8_t>& wanted) {
   }
   planes_.resize(next);
   moments_.resize(next);
+}
+
+Cube VoxelMap::cube_of(uint64_t key) const {
+  if (deltas_.empty()) return unpack(key);
+  const uint64_t level = key_level(key);
+  const Cube& near = deltas_.front().cube;
+  return unpack_near(key, {near.x >> level, near.y >> level, near.z >> level});
 }
 
 size_t VoxelMap::bytes() const {

@@ -59,6 +59,8 @@ class VoxelMap {
   size_t size() const { return planes_.size(); }
   size_t bytes() const;
   const VoxelMapSettings& settings() const { return settings_; }
+  // The cube of a key, that of the keys alike which lies nearest to the last insertion.
+  Cube cube_of(uint64_t key) const;
   double edge(uint64_t level) const { return settings_.voxel * static_cast<double>(uint64_t{1} << level); }
   const FlatIndex& index() const { return index_; }
   const std::vector<Plane>& planes() const { return planes_; }

@@ -84,13 +84,13 @@ void check_global_merge() {
   part.insert(floor_points(4), {}, kIdentity);
   const std::vector<int32_t> cubes = part.cubes();
   const std::vector<float> sums = part.sums(), intensity = part.intensity_sums(), counts = part.counts();
-  whole.merge({cubes, sums, intensity, counts}, nullptr);
-  whole.merge({cubes, sums, intensity, counts}, kIdentity);
+  whole.merge({cubes, sums, intensity, counts}, nullptr, 0);
+  whole.merge({cubes, sums, intensity, counts}, kIdentity, 0);
   CHECK(whole.size() == part.size() && whole.counts()[0] == 2.0F * part.counts()[0]);
-  whole.merge({{}, {}, {}, {}}, nullptr);
+  whole.merge({{}, {}, {}, {}}, nullptr, 0);
   whole.clear();
   CHECK(whole.size() == 0);
-  whole.merge({cubes, sums, intensity, counts}, nullptr);
+  whole.merge({cubes, sums, intensity, counts}, nullptr, 0);
   CHECK(whole.points() == part.points());
 }
 

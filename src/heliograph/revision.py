@@ -19,12 +19,13 @@ from heliograph.errors import DataError, FormatError
 from heliograph.factors import SENSOR_FACTORS
 from heliograph.graph import Symbol, load_graph
 from heliograph.guard.account import read_account
-from heliograph.io.files.clouds import write_cloud
 from heliograph.maps import GlobalMap
 from heliograph.output.facts import graph_facts
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.manifest import hashed_files
+from heliograph.output.map_file import MapBounds, write_map
 from heliograph.output.scan_log import rewrite_scans
+from heliograph.output.tiles import MapTiles
 from heliograph.output.trajectories import FILES, rewrite
 from heliograph.slam import KEYFRAMES, BackEnd, KeyframeStore
 from heliograph.slam.gnss import KeptFixes, kept_fixes
@@ -145,14 +146,17 @@ def write_keyframe_map(store: KeyframeStore, T_map_imu: Array, output: OutputCon
     OutputError
         It cannot be written.
     """
-    whole = GlobalMap(output.map_voxel)
-    for keyframe, T in zip(store, T_map_imu, strict=True):
-        whole.insert(keyframe.points_imu, keyframe.intensity, np.ascontiguousarray(T))
-    points, intensity = whole.points(), whole.intensity()
-    if output.surface_thickness > 0.0:
-        points, intensity = whole.surfaces(output.surface_thickness)
-    write_cloud(folder / f"map.{output.map_format}", points, intensity)
-    return len(points)
+    tiles, part = MapTiles(folder, output.map_voxel), GlobalMap(output.map_voxel)
+    try:
+        for number, (keyframe, T) in enumerate(zip(store, T_map_imu, strict=True)):
+            part.clear()
+            part.insert(keyframe.points_imu, keyframe.intensity, np.ascontiguousarray(T))
+            tiles.add(part.cells(), number)
+        bounds = MapBounds(stamps_ns=store.stamps_ns, largest=tiles.largest, brightest=tiles.brightest)
+        blocks = (tile.own(tile.whole.averaged(output.surface_thickness)) for tile in tiles)
+        return write_map(folder / f"map.{output.map_format}", ((bounds, block) for block in blocks)).count
+    finally:
+        tiles.close()
 
 
 def open_run_graph(folder: Path | str) -> RunGraph:

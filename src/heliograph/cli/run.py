@@ -68,6 +68,9 @@ def run(
         typer.Option("--crs", metavar="NAME", help="Deliver in a coordinate system too: local, utm, EPSG:25832 ..."),
     ] = None,
     no_repair: Annotated[bool, typer.Option("--no-repair", help="Mend no fault of the data, however plain.")] = False,
+    keep_moving: Annotated[
+        bool, typer.Option("--keep-moving", help="Leave in the map what other scans saw through.")
+    ] = False,
     map_format: Annotated[MapFormat | None, typer.Option("--map-format", help="Format of the map file.")] = None,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
@@ -86,7 +89,11 @@ def run(
         slam={"graph": False if no_graph else None, "loops": False if no_loops else None},
         wheels={"file": None if wheels is None else str(wheels)},
         gnss={"use": False if no_gnss else None, "file": None if gnss is None else str(gnss)},
-        output={"body": frame, "map_format": map_format and map_format.value},
+        output={
+            "body": frame,
+            "map_format": map_format and map_format.value,
+            "drop_moving": False if keep_moving else None,
+        },
     )
     if crs is not None:
         check_coordinate_system(crs)

@@ -89,6 +89,15 @@ class OutputConfig:
     keyframe_distance, keyframe_angle_deg, keyframe_interval : float
         How far [m], how much [deg] and how long [s] until the next keyframe; the points between two move as one where a
         back-end moves the run.
+    drop_moving : bool
+        Whether points that other scans saw through, as people and vehicles that went by, are left out of the map.
+    moving_votes, moving_ratio : int, float
+        Scans that must have seen through a place before it is dropped, and how many for each keyframe that saw
+        something there. More keep more.
+    moving_reach : float
+        From how far it counts [m].
+    moving_margin : float
+        How far a ray must go on behind a place at least [m].
     keep_submaps : bool
         Whether ``submaps.bin``, the points keyframe by keyframe, stays in the folder.
     checkpoint_interval : float
@@ -106,12 +115,19 @@ class OutputConfig:
     keyframe_distance: float = 2.0
     keyframe_angle_deg: float = 30.0
     keyframe_interval: float = 5.0
+    drop_moving: bool = True
+    moving_votes: int = 3
+    moving_ratio: float = 1.5
+    moving_reach: float = 30.0
+    moving_margin: float = 0.3
     keep_submaps: bool = False
     checkpoint_interval: float = 30.0
     hash_inputs: str = "auto"
 
     def __post_init__(self) -> None:
         check_range(self, "map_voxel", "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", above=0.0)
-        check_range(self, "surface_thickness", "checkpoint_interval", low=0.0)
+        check_range(self, "moving_reach", "moving_margin", above=0.0)
+        check_range(self, "moving_votes", low=1)
+        check_range(self, "surface_thickness", "moving_ratio", "checkpoint_interval", low=0.0)
         check_choice(self, "hash_inputs", "auto", "full", "sampled", "none")
         check_choice(self, "map_format", "ply", "pcd", "laz")

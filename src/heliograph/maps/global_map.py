@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph import _core
-from heliograph.arrays import as_array, as_points, as_pose, frozen
+from heliograph.arrays import as_array, as_points, as_pose, freeze, frozen
 from heliograph.errors import DataError
 
-__all__ = ["GlobalMap", "MapCells"]
+__all__ = ["GlobalMap", "MapCells", "MapPoints"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,11 +49,40 @@ class MapCells:
         return len(self.counts)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapPoints:
+    """Points of a map with what was seen of each.
+
+    Parameters
+    ----------
+    points : (N, 3) float64
+        In the map's frame [m].
+    intensity : (N,) float32
+        Mean intensity.
+    first : (N,) uint32
+        Number of the visit that saw it first, as `GlobalMap.merge` was given it.
+    """
+
+    points: NDArray[np.float64]
+    intensity: NDArray[np.float32]
+    first: NDArray[np.uint32]
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
 _NONE = np.zeros(0, np.float32)
 
 
 class GlobalMap:
     """One averaged point a cube, with its mean intensity; memory grows with the volume seen, not with time.
+
+    A cube takes the first 16 384 points that fall into it and leaves the others: by then its mean is known to a
+    hundredth of the noise, and sums of floats that grow for ever drift. Cubes are counted from the first one, so that a
+    map may lie anywhere; what is 524 284 cubes from there is refused.
 
     Parameters
     ----------
@@ -62,6 +93,7 @@ class GlobalMap:
     def __init__(self, voxel: float) -> None:
         if not 0.0 < voxel < np.inf:
             raise DataError(f"voxel is {voxel}, expected an edge above 0 m")
+        self.voxel = voxel
         self._native = _core.GlobalMap(voxel)
 
     def insert(
@@ -74,13 +106,14 @@ class GlobalMap:
         Raises
         ------
         DataError
-            An array of another dtype or shape, or a pose that is not finite.
+            An array of another dtype or shape, a pose that is not finite, or a point too far from the first one.
         """
         points = as_points("points_imu", points_imu)
         values = _NONE if intensity is None else as_array("intensity", intensity, np.float32, (len(points),))
-        self._native.insert(points, values, as_pose("T_map_imu", T_map_imu))
+        with _known_reach():
+            self._native.insert(points, values, as_pose("T_map_imu", T_map_imu))
 
-    def merge(self, cells: MapCells, T_map_odom: NDArray[np.float64] | None = None) -> None:
+    def merge(self, cells: MapCells, T_map_odom: NDArray[np.float64] | None = None, *, visit: int = 0) -> None:
         """Add the cells of a map with cubes of the same edge.
 
         Parameters
@@ -90,9 +123,17 @@ class GlobalMap:
         T_map_odom : (4, 4) float64, optional
             That frame in this map's. The mean of each cell goes, with its weight, into the cube where it comes to lie.
             By default the frames are one, and cell is added to cell.
+        visit : int
+            Number of the visit that the cells are of, below 2^24.
+
+        Raises
+        ------
+        DataError
+            A pose that is not finite, or a cell too far from the first one.
         """
         T = None if T_map_odom is None else as_pose("T_map_odom", T_map_odom)
-        self._native.merge(cells.cubes, cells.sums, cells.intensity, cells.counts, T)
+        with _known_reach():
+            self._native.merge(cells.cubes, cells.sums, cells.intensity, cells.counts, T, visit)
 
     def cells(self) -> MapCells:
         """Return what the cubes have added up, in the order in which they were first seen."""
@@ -105,9 +146,30 @@ class GlobalMap:
         """Forget all points, and keep the memory for the next ones."""
         self._native.clear()
 
+    def keep(self, wanted: NDArray[np.bool_]) -> None:
+        """Forget the cubes that are not ``wanted`` (M,)."""
+        self._native.keep(as_array("wanted", wanted, np.bool_, (len(self),)).view(np.uint8))
+
     def points(self) -> NDArray[np.float32]:
         """Return the mean point of each cube, (M, 3), map frame [m], in the order in which cubes were first seen."""
+        return self.means().astype(np.float32)
+
+    def means(self) -> NDArray[np.float64]:
+        """Return the same in double precision, for maps far from the frame's origin."""
         return np.asarray(self._native.points())
+
+    def visits(self) -> NDArray[np.uint32]:
+        """Return by how many of the visits merged each cube was seen, (M,), at most 255."""
+        return np.asarray(self._native.visits())
+
+    def normals(self, cubes: NDArray[np.uint32]) -> NDArray[np.float32]:
+        """Return the normals (K, 3) of the planes that some cubes' means make with those about them; zero for none."""
+        return np.asarray(self._native.normals(as_array("cubes", cubes, np.uint32, (None,))))
+
+    def marked_around(self, cubes: NDArray[np.uint32], marked: NDArray[np.bool_]) -> NDArray[np.uint32]:
+        """Return of the 26 cubes about some (K,) how many are ``marked`` (M,) and how many hold a point, (K, 2)."""
+        marks = as_array("marked", marked, np.bool_, (len(self),)).view(np.uint8)
+        return np.asarray(self._native.marked_around(as_array("cubes", cubes, np.uint32, (None,)), marks))
 
     def intensity(self) -> NDArray[np.float32]:
         """Return the mean intensity of each cube, (M,)."""
@@ -147,8 +209,15 @@ class GlobalMap:
         weighted by their counts, onto planes. Its bias on curved surfaces is taken back by smoothing the moves
         once more (twicing: J. W. Tukey, Exploratory Data Analysis, 1977).
         """
-        points, intensity, _ = self._native.surfaces(float(thickness), threads)
-        return points, intensity
+        found = self.averaged(thickness, threads=threads)
+        return found.points.astype(np.float32), found.intensity
+
+    def averaged(self, thickness: float, *, threads: int = 1) -> MapPoints:
+        """Return what `surfaces` does in double precision, with the first visit; with 0 the mean of each cube."""
+        if thickness == 0.0:
+            return MapPoints(points=self.means(), intensity=self.intensity(), first=np.asarray(self._native.first()))
+        points, intensity, _, first = self._native.surfaces(float(thickness), threads)
+        return MapPoints(points=points, intensity=intensity, first=first)
 
     @property
     def nbytes(self) -> int:
@@ -157,3 +226,11 @@ class GlobalMap:
 
     def __len__(self) -> int:
         return len(self._native)
+
+
+@contextmanager
+def _known_reach() -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise DataError(str(error)) from None

@@ -32,9 +32,11 @@ class RunRecord:
     scans : ScanTable
         One row a scan, map-frame axes.
     points_map : (N, 3) float32
-        The map [m]; empty without a LiDAR.
+        The map, or an even choice of very many points [m]; empty without a LiDAR.
     intensity : (N,) float32 or None
         Intensity of those points.
+    map_points, moving_points : int
+        How many points the map has, and how many cubes were left out because what was there moved.
     facts : mapping
         What ``run.json`` says so far: recording, inferences, versions.
     config : str
@@ -47,6 +49,8 @@ class RunRecord:
     scans: ScanTable
     points_map: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.float32))
     intensity: NDArray[np.float32] | None = None
+    map_points: int = 0
+    moving_points: int = 0
     facts: Mapping[str, Any] = field(default_factory=dict)
     config: str = ""
 

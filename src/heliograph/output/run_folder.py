@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,10 @@ from heliograph.config import OutputConfig
 from heliograph.data import ImuBatch, Message, OnlineCalibration, ScanResult
 from heliograph.errors import DataError, OutputError
 from heliograph.io.files.clouds import write_cloud
+from heliograph.maps import MapPoints
 from heliograph.output.facts import final_facts
 from heliograph.output.lock import FolderLock
+from heliograph.output.map_file import FinishedMap, MapBounds, write_map
 from heliograph.output.map_writer import MapWriter
 from heliograph.output.raw_files import bring_back, drop_raw, keep_raw, remove_checkpoint
 from heliograph.output.record import RunRecord
@@ -36,7 +38,7 @@ _FLUSH_EVERY = 50  # scans; a crash costs at most these
 _OWN_FORMATS = ("ply", "pcd")  # written without any other package
 _MAPS = ("map.ply", "map.pcd", "map.laz")
 SUBMAPS = "submaps.bin"
-_NO_POINTS = np.zeros((0, 3), dtype=np.float32)
+_Block: TypeAlias = tuple[MapBounds, MapPoints]
 _GRAPH = ("loops.csv", "gnss.csv", "graph.g2o", "graph.npz")
 _KEYFRAMES = "keyframes"
 _GROWING = (*FILES, SUBMAPS, "scans.csv")
@@ -236,9 +238,9 @@ class RunFolder(Sink):
         began = time.perf_counter()
         with self._step("checkpoint", failures):
             keep_raw(self.path, _GROWING)
-        points, intensity = _NO_POINTS, None
+        blocks, written = None, FinishedMap()
         with self._step("map", failures):
-            points, intensity = self._map_points(summary)
+            blocks = self._held_map(summary)
         table = self._log.table(summary.final, summary.level)
         self.files += [*self._trajectories.paths, self._log.path]
         self.files += [self.path / name for name in (summary.graph.files if summary.graph is not None else ())]
@@ -247,13 +249,14 @@ class RunFolder(Sink):
         with self._step("scans.csv", failures):
             self._log.close(table)
         with self._step("map", failures):
-            self._write_map(points, intensity)
+            written = self._write_map(summary, blocks)
         self.facts = dict(self._facts())
         if self._calibration is not None:
             self.facts["online_calibration"] = self._calibration.summary()
         self.record = RunRecord(
-            name=self.name, folder=self.path, summary=summary, scans=table, points_map=points, intensity=intensity,
-            facts=self.facts, config=self.config,
+            name=self.name, folder=self.path, summary=summary, scans=table, points_map=written.points,
+            intensity=written.intensity, map_points=written.count,
+            moving_points=0 if self._map is None else self._map.dropped, facts=self.facts, config=self.config,
         )  # fmt: skip
         for finisher in self._finishers:
             with self._step("report", failures):
@@ -261,8 +264,8 @@ class RunFolder(Sink):
         self.files += [self.path / "config.toml", self.path / "run.json"]
         with self._step("run.json", failures):
             closing = time.perf_counter() - began
-            written = [path for path in dict.fromkeys(self.files) if path.exists()]
-            self.facts = final_facts(self.facts, self.record, written, self.writer_seconds, closing, failures)
+            files = [path for path in dict.fromkeys(self.files) if path.exists()]
+            self.facts = final_facts(self.facts, self.record, files, self.writer_seconds, closing, failures)
             self._write_account()
         if not (failures or summary.failure or summary.interrupted):
             remove_checkpoint(self.path)
@@ -287,31 +290,34 @@ class RunFolder(Sink):
     def _map_path(self) -> Path:
         return self.path / f"map.{self._output.map_format}"
 
-    def _map_points(self, summary: RunSummary) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-        """Return the map; after a failure remove what it was made of at once, for the disk may be full."""
-        if self._map is None:
-            return _NO_POINTS, None
-        points, intensity = self._map.points(summary.final)
-        if summary.failure:
-            self._map.release(keep=False)
-            drop_raw(self.path, SUBMAPS)
-        return points, intensity
+    def _held_map(self, summary: RunSummary) -> list[_Block] | None:
+        """Return the whole map after a failure, and remove what it was made of at once: the disk may be full."""
+        if self._map is None or not summary.failure:
+            return None
+        blocks = list(self._map.blocks(summary.final))
+        self._map.release(keep=False)
+        drop_raw(self.path, SUBMAPS)
+        return blocks
 
-    def _write_map(self, points: NDArray[np.float32], intensity: NDArray[np.float32] | None) -> None:
+    def _write_map(self, summary: RunSummary, blocks: list[_Block] | None) -> FinishedMap:
         """Write the map, then remove what it was made of; where there is no room, the other way round."""
         if self._map is None:
-            return
+            return FinishedMap()
+        written, keep = FinishedMap(), True
         try:
-            if len(points):
-                write_cloud(self._map_path, points, intensity)
-        except OutputError:
-            self._map.release(keep=False)
-            drop_raw(self.path, SUBMAPS)
-            write_cloud(self._map_path, points, intensity)
-        self.files += [self._map_path] if len(points) else []
-        not_merged = not len(points) and self._map.submaps > 0
-        if self._map.release(keep=self._output.keep_submaps or not_merged):
-            self.files.append(self._map.path)
+            try:
+                written = write_map(self._map_path, self._map.blocks(summary.final) if blocks is None else blocks)
+            except OutputError:
+                blocks = list(self._map.blocks(summary.final)) if blocks is None else blocks
+                self._map.release(keep=False)
+                drop_raw(self.path, SUBMAPS)
+                written = write_map(self._map_path, blocks)
+            keep = self._output.keep_submaps or (not written.count and self._map.submaps > 0)
+        finally:
+            self.files += [self._map_path] if written.count else []
+            if self._map.release(keep=keep):
+                self.files.append(self._map.path)
+        return written
 
     def _write_account(self) -> None:
         """Write ``run.json``; on a full disk over the first one, which must not say any more that it runs."""

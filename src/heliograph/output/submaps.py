@@ -1,9 +1,10 @@
 """The points of a run on disk, keyframe by keyframe, for as long as their poses may still change.
 
 The file begins with a magic word and the cubes' edge. Each submap that follows is a header with its length and a
-checksum, then four columns: sums of offsets, sums of intensity, counts and cubes. Numbers are little-endian. Cubes are
-counted from the submap's lowest corner and, like counts, take two bytes where they fit; an intensity that is zero all
-over takes none. That makes 20 to 24 bytes a cube.
+checksum, then four columns: sums of offsets, sums of intensity, counts and cubes, and where the rays of the keyframe's
+own scan ended. Numbers are little-endian. Cubes are counted from the submap's lowest corner and, like counts, take two
+bytes where they fit; an intensity that is zero all over takes none. That makes 20 to 24 bytes a cube. Rays are in
+centimetres from the sensor, 6 bytes each.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +26,18 @@ from heliograph.arrays import frozen
 from heliograph.atomic import output_error, output_errors
 from heliograph.errors import FormatError
 from heliograph.io.files.rows import opened_at
-from heliograph.maps import MapCells
+from heliograph.maps import MapCells, Sight
 
-__all__ = ["Submap", "SubmapFile", "read_submaps", "read_voxel"]
+__all__ = ["Submap", "SubmapFile", "located_submaps", "read_sight", "read_submaps", "read_voxel"]
 
-_MAGIC = b"HGSUBM01"
+_MAGIC = b"HGSUBM02"
 _FILE = struct.Struct("<8sd")  # magic, edge of the cubes [m]
-_HEADER = struct.Struct("<IIq16d3iBBBx")  # checksum of all behind it, cells, stamp, pose, corner, widths, intensity?
+# Checksum of all behind it, cells, stamp, pose, corner, widths, intensity?, rays, the sensor's way.
+_HEADER = struct.Struct("<IIq16d3iBBBxI6d")
 _CHECKED = struct.calcsize("<I")  # where what the checksum covers begins
+_Columns: TypeAlias = tuple[tuple[str, int], ...]
 _NARROW = 1 << 16
+_RAY_STEP = 0.01  # [m]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,11 +52,14 @@ class Submap:
         Its pose as the odometry gave it [m].
     cells : MapCells
         The points, summed in cubes of the odom frame.
+    sight : Sight or None
+        Rays of the keyframe's own scan, in odom.
     """
 
     stamp_ns: int
     T_odom_imu: NDArray[np.float64]
     cells: MapCells
+    sight: Sight | None = None
 
     def __post_init__(self) -> None:
         value = frozen("T_odom_imu", self.T_odom_imu, np.float64, (4, 4), finite=True)
@@ -142,11 +150,28 @@ def read_submaps(path: Path | str) -> Iterator[Submap]:
     FormatError
         The file cannot be read or is none of submaps.
     """
+    for _, submap in located_submaps(path):
+        yield submap
+
+
+def located_submaps(path: Path | str) -> Iterator[tuple[int, Submap]]:
+    """Yield the same with the place of each in the file, for `read_sight`."""
     read_voxel(path)
     with Path(path).open("rb") as file:
-        file.seek(_FILE.size)
+        file.seek(at := _FILE.size)
         while (submap := _read(file)) is not None:
-            yield submap
+            yield at, submap
+            at = file.tell()
+
+
+def read_sight(path: Path | str, at: int) -> Sight | None:
+    """Return the rays of the submap at a place that `located_submaps` found whole, without reading the rest of it."""
+    with Path(path).open("rb") as file:
+        file.seek(at)
+        _, count, _, *numbers = _HEADER.unpack(file.read(_HEADER.size))
+        *columns, (kind, length) = _columns(count, *numbers[19:23])
+        file.seek(sum(np.dtype(kind).itemsize * length for kind, length in columns), io.SEEK_CUR)
+        return _sight(np.frombuffer(file.read(np.dtype(kind).itemsize * length), kind), numbers)
 
 
 def _packed(submap: Submap) -> list[bytes]:
@@ -156,18 +181,28 @@ def _packed(submap: Submap) -> list[bytes]:
     narrow_cubes = bool(cubes.max(initial=0) < _NARROW)
     narrow_counts = bool(cells.counts.max(initial=0) < _NARROW)
     has_intensity = bool(cells.intensity.any())
+    rays, way = _rays(submap.sight)
     body = [
         cells.sums.astype("<f4", copy=False).tobytes(),
         cells.intensity.astype("<f4", copy=False).tobytes() if has_intensity else b"",
         cells.counts.astype("<u2" if narrow_counts else "<u4").tobytes(),
         cubes.astype("<u2" if narrow_cubes else "<u4").tobytes(),
+        rays.astype("<i2").tobytes(),
     ]
     fields = (len(cells), submap.stamp_ns, *submap.T_odom_imu.ravel(), *corner.tolist(), narrow_cubes, narrow_counts)
-    header = _HEADER.pack(0, *fields, has_intensity)
+    header = _HEADER.pack(0, *fields, has_intensity, len(rays), *way)
     checksum = zlib.crc32(header[_CHECKED:])
     for part in body:
         checksum = zlib.crc32(part, checksum)
     return [checksum.to_bytes(_CHECKED, "little") + header[_CHECKED:], *body]
+
+
+def _rays(sight: Sight | None) -> tuple[NDArray[np.float32], list[float]]:
+    """Return a sight's rays in steps, without those that are too long for two bytes, and the sensor's way."""
+    if sight is None:
+        return np.zeros((0, 3), np.float32), [0.0] * 6
+    steps = np.rint(sight.ends / np.float32(_RAY_STEP))
+    return steps[(np.abs(steps) < 1 << 15).all(axis=1)], [*sight.origin.tolist(), *sight.start.tolist()]
 
 
 def _read(file: io.BufferedReader) -> Submap | None:
@@ -175,13 +210,9 @@ def _read(file: io.BufferedReader) -> Submap | None:
     header = file.read(_HEADER.size)
     if len(header) < _HEADER.size:
         return None
-    checksum, count, stamp_ns, *numbers, narrow_cubes, narrow_counts, has_intensity = _HEADER.unpack(header)
-    columns = (
-        ("<f4", 3 * count),
-        ("<f4", count if has_intensity else 0),
-        ("<u2" if narrow_counts else "<u4", count),
-        ("<u2" if narrow_cubes else "<u4", 3 * count),
-    )
+    checksum, count, stamp_ns, *numbers = _HEADER.unpack(header)
+    narrow_cubes, narrow_counts, has_intensity, rays = numbers[19:23]
+    columns = _columns(count, narrow_cubes, narrow_counts, has_intensity, rays)
     body = file.read(sum(np.dtype(kind).itemsize * length for kind, length in columns))
     if zlib.crc32(body, zlib.crc32(header[_CHECKED:])) != checksum:
         return None
@@ -189,11 +220,31 @@ def _read(file: io.BufferedReader) -> Submap | None:
     for kind, length in columns:
         arrays.append(np.frombuffer(body, kind, length, begin))
         begin += arrays[-1].nbytes
-    sums, intensity, counts, cubes = arrays
+    sums, intensity, counts, cubes, steps = arrays
     cells = MapCells(
-        cubes=cubes.reshape(-1, 3).astype(np.int32) + np.array(numbers[16:], dtype=np.int32),
+        cubes=cubes.reshape(-1, 3).astype(np.int32) + np.array(numbers[16:19], dtype=np.int32),
         sums=sums.reshape(-1, 3).astype(np.float32, copy=False),
         intensity=intensity.astype(np.float32, copy=False) if has_intensity else np.zeros(count, np.float32),
         counts=counts.astype(np.float32),
     )
-    return Submap(stamp_ns=stamp_ns, T_odom_imu=np.array(numbers[:16]).reshape(4, 4), cells=cells)
+    T_odom_imu = np.array(numbers[:16]).reshape(4, 4)
+    return Submap(stamp_ns=stamp_ns, T_odom_imu=T_odom_imu, cells=cells, sight=_sight(steps, numbers))
+
+
+def _columns(count: int, narrow_cubes: int, narrow_counts: int, has_intensity: int, rays: int) -> _Columns:
+    """Return type and length of each column behind a header."""
+    return (
+        ("<f4", 3 * count),
+        ("<f4", count if has_intensity else 0),
+        ("<u2" if narrow_counts else "<u4", count),
+        ("<u2" if narrow_cubes else "<u4", 3 * count),
+        ("<i2", 3 * rays),
+    )
+
+
+def _sight(steps: NDArray[np.int16], numbers: list[float]) -> Sight | None:
+    """Return the rays behind a header, None where there are none."""
+    if not len(steps):
+        return None
+    ends = steps.reshape(-1, 3).astype(np.float32) * np.float32(_RAY_STEP)
+    return Sight(origin=np.array(numbers[23:26]), start=np.array(numbers[26:29]), ends=ends)

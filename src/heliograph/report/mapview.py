@@ -142,7 +142,10 @@ class MapPictures:
         note = ""
         if self.ceiling is not None:
             note = f" From above, what lies higher than {self.ceiling:.1f} m is left out: it would hide the way."
-        count = f"{len(self.record.points_map):,}".replace(",", " ")
+        count = f"{self.record.map_points:,}".replace(",", " ")
+        if self.record.moving_points:
+            gone = f"{self.record.moving_points:,}".replace(",", " ")
+            note += f" {gone} cubes that other scans saw through are left out: what was there moved."
         return (
             f'<section class="map">{tabs}<div class="tabs">{labels}</div>{bodies}'
             f'<p class="note">{count} points, {self.top.pixel:.3f} m a pixel; the line is the trajectory.{note}</p>'

@@ -121,7 +121,7 @@ def test_files_of_a_changed_run_tell_the_same(copy, call):
     np.testing.assert_allclose(rows, T[:, :3, 3], atol=1e-5)
 
 
-@pytest.mark.parametrize("broken", ["write_graph_files", "write_cloud", "rewrite_scans", "write_text"])
+@pytest.mark.parametrize("broken", ["write_graph_files", "write_map", "rewrite_scans", "write_text"])
 def test_change_that_cannot_be_written_changes_nothing(copy, call, monkeypatch, broken):
     def full(*_):
         raise OSError(errno.ENOSPC, "no space left")

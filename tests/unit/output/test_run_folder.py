@@ -13,9 +13,10 @@ from fakes import IMU_STEP_NS, PERIOD_NS, START_NS, FakeOdometry, FakeRecording,
 from heliograph.config import OutputConfig, RunConfig
 from heliograph.data import ImuBatch
 from heliograph.errors import MissingDependencyError, OutputError
-from heliograph.io.files.clouds import read_cloud, write_cloud
+from heliograph.io.files.clouds import read_cloud
 from heliograph.io.files.tum import read_tum
 from heliograph.output import FinalPoses, RunSummary, read_submaps
+from heliograph.output.map_file import write_map
 from heliograph.output.run_folder import RunFolder
 from heliograph.pipeline import run
 
@@ -203,7 +204,10 @@ def test_run_folder_writes_trajectories_map_and_table_where_the_poses_ended(tmp_
     speed = np.diff(after.T_frame_body[:, 1, 3]) / np.diff(after.stamps_ns * 1e-9)
     assert speed.max() > 0.5 and np.abs(np.diff(speed)).max() < 0.1, "the path has a kink"
     assert (tmp_path / "before" / "odometry.tum").read_bytes() == (tmp_path / "after" / "odometry.tum").read_bytes()
-    clouds = [read_cloud(tmp_path / folder / "map.ply").points for folder in ("before", "after")]
+    clouds = []
+    for folder in ("before", "after"):
+        cloud = read_cloud(tmp_path / folder / "map.ply")
+        clouds.append(cloud.points[np.lexsort((cloud.points[:, 0], cloud.columns["stamp"]))])
     keyframes = [10 * (index // 10) for index in range(40)]
     shift = final.T_map_odom(np.array([results[k].end_ns for k in keyframes]))[:, 1, 3]
     np.testing.assert_allclose(clouds[1][:, 1] - clouds[0][:, 1], np.repeat(shift, 50), atol=2e-3)
@@ -234,9 +238,9 @@ def test_run_folder_makes_room_for_the_map_with_what_it_was_made_of(tmp_path, mo
     def only_beside_nothing(path, *arguments):
         if (path.parent / "submaps.bin").exists():
             raise OutputError(f"cannot write {path}: the disk is full")
-        write_cloud(path, *arguments)
+        return write_map(path, *arguments)
 
-    monkeypatch.setattr("heliograph.output.run_folder.write_cloud", only_beside_nothing)
+    monkeypatch.setattr("heliograph.output.run_folder.write_map", only_beside_nothing)
     run_into(make_folder(tmp_path / "out"))
     assert len(read_cloud(tmp_path / "out" / "map.ply")) == 500
 
@@ -245,7 +249,7 @@ def test_run_folder_map_that_cannot_be_put_together_leaves_the_submaps(tmp_path,
     def no_room(writer, final):
         raise MemoryError("no room")
 
-    monkeypatch.setattr("heliograph.output.map_writer.MapWriter.points", no_room)
+    monkeypatch.setattr("heliograph.output.map_writer.MapWriter.blocks", no_room)
     with pytest.raises(MemoryError):
         run_into(make_folder(tmp_path / "out"), scans=30)
     assert sum(s.cells.counts.sum() for s in read_submaps(tmp_path / "out" / "submaps.bin")) == 1500

@@ -53,7 +53,7 @@ def test_submaps_come_back_bit_by_bit(rng, tmp_path):
 def test_submaps_take_few_bytes_a_cube(rng, tmp_path, intensity, size):
     submap = make_submap(rng, count=5000, intensity=intensity)
     file = written(tmp_path / "submaps.bin", [submap])
-    assert file.nbytes <= size * len(submap.cells) + 200
+    assert file.nbytes <= size * len(submap.cells) + 260
 
 
 def test_submaps_cut_anywhere_leave_the_whole_ones(rng, tmp_path):

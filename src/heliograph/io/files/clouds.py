@@ -6,9 +6,11 @@ pulls in pydantic. LZF (compressed PCD) and LAS/LAZ come from python-neo-lzf (BS
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +18,26 @@ from numpy.typing import NDArray
 from heliograph.arrays import freeze, frozen
 from heliograph.atomic import atomic_path
 from heliograph.errors import FormatError, OutputError
+from heliograph.io.files.cloud_stream import CloudStream, LasStream, PcdStream, PlyStream
 from heliograph.io.files.las import write_las
 from heliograph.io.files.pcd import read_pcd, write_pcd
 from heliograph.io.files.ply import read_ply, write_ply
 
-__all__ = ["CLOUD_SUFFIXES", "CloudFile", "read_cloud", "read_columns", "write_cloud"]
+__all__ = ["CLOUD_SUFFIXES", "CloudFile", "cloud_stream", "read_cloud", "read_columns", "write_cloud"]
 
 CLOUD_SUFFIXES = (".ply", ".pcd")
-_WRITERS = {".ply": write_ply, ".pcd": write_pcd, ".las": write_las, ".laz": write_las}
+_WRITERS: Mapping[str, Callable[..., None]] = {
+    ".ply": write_ply,
+    ".pcd": write_pcd,
+    ".las": write_las,
+    ".laz": write_las,
+}
+_STREAMS: Mapping[str, Callable[..., CloudStream]] = {
+    ".ply": PlyStream,
+    ".pcd": PcdStream,
+    ".las": LasStream,
+    ".laz": LasStream,
+}
 _INTENSITY_NAMES = ("intensity", "reflectivity", "i", "scalar_intensity", "intensities", "reflectance")
 
 
@@ -85,18 +99,69 @@ def write_cloud(
         An array has the wrong shape or dtype.
     """
     path = Path(path)
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise OutputError(f"cannot write {path}: a cloud's suffix must be one of {', '.join(_WRITERS)}")
+    writer = _writer(path, _WRITERS)
     points = frozen("points", points, np.float32, (None, 3))
     table: dict[str, NDArray[np.generic]] = {"x": points[:, 0], "y": points[:, 1], "z": points[:, 2]}
     if intensity is not None:
         table["intensity"] = frozen("intensity", intensity, np.float32, (len(points),))
     for name, column in (columns or {}).items():
         table[name] = frozen(name, column, column.dtype, (len(points),))
-    clean = [" ".join(comment.split()).encode("ascii", "replace").decode() for comment in comments]
     with atomic_path(path) as temporary:
-        writer(temporary, table, clean)
+        writer(temporary, table, _clean(comments))
+
+
+@contextmanager
+def cloud_stream(
+    path: Path | str,
+    types: Mapping[str, np.dtype[np.generic]],
+    *,
+    comments: Sequence[str] = (),
+    brightest: float = 0.0,
+) -> Iterator[CloudStream]:
+    """Write a cloud block by block, of which nobody knows the length before: all of it is written or nothing.
+
+    Parameters
+    ----------
+    path : Path or str
+        As for `write_cloud`.
+    types : mapping of str to dtype
+        The columns, ``x``, ``y``, ``z`` among them.
+    comments : sequence of str
+        As for `write_cloud`.
+    brightest : float
+        Largest intensity that is to come: it decides how LAS stores it.
+
+    Yields
+    ------
+    CloudStream
+        Takes the blocks.
+
+    Raises
+    ------
+    OutputError, MissingDependencyError, DataError
+        As for `write_cloud`.
+    """
+    path = Path(path)
+    opened = _writer(path, _STREAMS)
+    with atomic_path(path) as temporary:
+        stream = opened(temporary, types, _clean(comments), brightest)
+        try:
+            yield stream
+        finally:
+            stream.close()
+
+
+Found = TypeVar("Found")
+
+
+def _writer(path: Path, known: Mapping[str, Found]) -> Found:
+    if path.suffix.lower() not in known:
+        raise OutputError(f"cannot write {path}: a cloud's suffix must be one of {', '.join(known)}")
+    return known[path.suffix.lower()]
+
+
+def _clean(comments: Sequence[str]) -> list[str]:
+    return [" ".join(comment.split()).encode("ascii", "replace").decode() for comment in comments]
 
 
 def read_columns(path: Path | str) -> dict[str, NDArray[np.generic]]:

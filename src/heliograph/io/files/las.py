@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.errors import DataError, MissingDependencyError
 
-__all__ = ["write_las"]
+__all__ = ["extra_columns", "las_header", "load_laspy", "sixteen_bits", "write_las"]
 
 _SCALE = 1e-3
 _INSTALL = "pip install 'heliograph[las]'"
@@ -30,30 +30,43 @@ def write_las(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Se
     DataError
         A coordinate is not finite: LAS stores integers.
     """
-    laspy = _laspy(path.suffix)
+    laspy = load_laspy(path.suffix)
     xyz = np.stack([table[axis] for axis in "xyz"], axis=1).astype(np.float64)
     bad = int(np.count_nonzero(~np.isfinite(xyz).all(axis=1)))
     if bad:
         raise DataError(
             f"{bad} of {len(xyz)} points are not finite, which LAS cannot hold; remove them or write a .ply"
         )
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales = np.full(3, _SCALE)
+    types = {name: column.dtype for name, column in table.items()}
+    header = las_header(laspy, types, comments)
     header.offsets = np.floor(xyz.min(axis=0)) if len(xyz) else np.zeros(3)
-    header.system_identifier = (comments[0] if comments else "")[:32]
-    header.generating_software = "heliograph"
-    extra = {name: column for name, column in table.items() if name not in ("x", "y", "z", "intensity")}
-    header.add_extra_dims([laspy.ExtraBytesParams(name=name, type=column.dtype) for name, column in extra.items()])
     las = laspy.LasData(header)
     las.x, las.y, las.z = xyz.T
     if "intensity" in table:
-        las.intensity = _sixteen_bits(table["intensity"])
-    for name, column in extra.items():
-        las[name] = column
+        las.intensity = sixteen_bits(table["intensity"], float(np.nanmax(table["intensity"], initial=0.0)))
+    for name in extra_columns(types):
+        las[name] = table[name]
     las.write(str(path))
 
 
-def _laspy(suffix: str) -> Any:  # noqa: ANN401 - an optional package without types
+def las_header(laspy: Any, types: Mapping[str, np.dtype[np.generic]], comments: Sequence[str]) -> Any:  # noqa: ANN401
+    """Return a header in millimetres from zero for columns of some types."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, _SCALE)
+    header.offsets = np.zeros(3)
+    header.system_identifier = (comments[0] if comments else "")[:32]
+    header.generating_software = "heliograph"
+    header.add_extra_dims([laspy.ExtraBytesParams(name=name, type=types[name]) for name in extra_columns(types)])
+    return header
+
+
+def extra_columns(types: Mapping[str, np.dtype[np.generic]]) -> tuple[str, ...]:
+    """Return the columns that LAS has no place for."""
+    return tuple(name for name in types if name not in ("x", "y", "z", "intensity"))
+
+
+def load_laspy(suffix: str) -> Any:  # noqa: ANN401 - an optional package without types
+    """Return laspy; `MissingDependencyError` where it, or its LAZ back-end, is not installed."""
     try:
         import laspy
     except ImportError as error:
@@ -63,7 +76,8 @@ def _laspy(suffix: str) -> Any:  # noqa: ANN401 - an optional package without ty
     return laspy
 
 
-def _sixteen_bits(intensity: NDArray[np.generic]) -> NDArray[np.uint16]:
+def sixteen_bits(intensity: NDArray[np.generic], brightest: float) -> NDArray[np.uint16]:
+    """Return intensities as LAS holds them, where none is larger than ``brightest``."""
     values = np.nan_to_num(intensity.astype(np.float64))
-    scale = 65535.0 if len(values) and 0.0 < values.max() <= 1.0 else 1.0
+    scale = 65535.0 if 0.0 < brightest <= 1.0 else 1.0
     return np.clip(np.rint(values * scale), 0, 65535).astype(np.uint16)

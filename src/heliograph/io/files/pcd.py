@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from heliograph.errors import FormatError
 from heliograph.io.files.records import columns_of, require_bytes, write_records
 
-__all__ = ["read_pcd", "write_pcd"]
+__all__ = ["pcd_header", "read_pcd", "write_pcd"]
 
 _MAX_HEADER_LINES = 200
 _MAX_POINTS = 1 << 31
@@ -40,25 +40,28 @@ class _Header:
 
 def write_pcd(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Sequence[str]) -> None:
     """Write columns as a binary PCD."""
-    columns = list(table.values())
-    count = len(columns[0])
+    with path.open("wb") as file:
+        file.write(pcd_header({name: column.dtype for name, column in table.items()}, len(table["x"]), comments))
+        write_records(file, table)
+
+
+def pcd_header(types: Mapping[str, np.dtype[np.generic]], count: int, comments: Sequence[str]) -> bytes:
+    """Return the header for columns of some types."""
     lines = [
         "# .PCD v0.7 - Point Cloud Data file format",
         *(f"# {comment}" for comment in comments),
         "VERSION 0.7",
-        "FIELDS " + " ".join(table),
-        "SIZE " + " ".join(str(column.dtype.itemsize) for column in columns),
-        "TYPE " + " ".join(column.dtype.kind.upper() for column in columns),
-        "COUNT " + " ".join("1" for _ in columns),
+        "FIELDS " + " ".join(types),
+        "SIZE " + " ".join(str(dtype.itemsize) for dtype in types.values()),
+        "TYPE " + " ".join(dtype.kind.upper() for dtype in types.values()),
+        "COUNT " + " ".join("1" for _ in types),
         f"WIDTH {count}",
         "HEIGHT 1",
         "VIEWPOINT 0 0 0 1 0 0 0",
         f"POINTS {count}",
         "DATA binary",
     ]
-    with path.open("wb") as file:
-        file.write(("\n".join(lines) + "\n").encode("ascii"))
-        write_records(file, table)
+    return ("\n".join(lines) + "\n").encode("ascii")
 
 
 def read_pcd(path: Path) -> dict[str, NDArray[np.generic]]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from heliograph.errors import DataError, FormatError
 from heliograph.io.files.records import columns_of, require_bytes, write_records
 
-__all__ = ["read_ply", "write_ply"]
+__all__ = ["ply_header", "read_ply", "write_ply"]
 
 _TYPES = {
     "char": "i1",
@@ -42,15 +42,20 @@ class _Element:
 
 def write_ply(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Sequence[str]) -> None:
     """Write columns as a binary little-endian PLY; `DataError` for a type that PLY does not have."""
-    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
-    lines.append(f"element vertex {len(table['x'])}")
-    for name, column in table.items():
-        if column.dtype not in _NAMES:
-            raise DataError(f"column {name} is {column.dtype}, which PLY cannot hold; convert it or write a .pcd")
-        lines.append(f"property {_NAMES[column.dtype]} {name}")
     with path.open("wb") as file:
-        file.write(("\n".join([*lines, "end_header"]) + "\n").encode("ascii"))
+        file.write(ply_header({name: column.dtype for name, column in table.items()}, len(table["x"]), comments))
         write_records(file, table)
+
+
+def ply_header(types: Mapping[str, np.dtype[np.generic]], count: int, comments: Sequence[str]) -> bytes:
+    """Return the header for columns of some types; `DataError` for a type that PLY does not have."""
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+    lines.append(f"element vertex {count}")
+    for name, dtype in types.items():
+        if dtype not in _NAMES:
+            raise DataError(f"column {name} is {dtype}, which PLY cannot hold; convert it or write a .pcd")
+        lines.append(f"property {_NAMES[dtype]} {name}")
+    return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
 
 
 def read_ply(path: Path) -> dict[str, NDArray[np.generic]]:
