@@ -29,7 +29,7 @@ from heliograph.data import (
 )
 from heliograph.errors import ConfigError
 from heliograph.imu import ImuPath
-from heliograph.maps import MapCells
+from heliograph.maps import MapCells, Sight
 from heliograph.odometry.filter.calibration_gate import CalibrationGate
 from heliograph.odometry.filter.map_window import WindowMark
 from heliograph.odometry.filter.matching import AdaptiveNoise
@@ -59,7 +59,7 @@ RECORDS: tuple[type, ...] = (
     AdaptiveNoise, BlindSpan, CalibrationGate, Candidate, Event, FeatureNoise, Finding, FixesInForce, GnssFix, ImuBatch,
     ImuClock, ImuNoise, ImuPath, Judgement, LedgerEntry, LineRule, LoopDecision, LoopEvidence, LoopStart, MapCells,
     NavState, Number, OnlineCalibration, Packet, Placement, ResidualDistribution, Rig, Scan, ScanResult, SensorRepair,
-    StartAccount, Thickness, Trajectory, Unsteadiness, WindowMark,
+    Sight, StartAccount, Thickness, Trajectory, Unsteadiness, WindowMark,
 )  # fmt: skip
 """Records that the state of a run consists of; a file that names another is none."""
 
