@@ -23,7 +23,7 @@ $(STAMP): $(VENV)/.tools $(NATIVE)
 env build: $(STAMP)
 
 demo: $(STAMP)
-	$(BIN)/heliograph demo
+	$(BIN)/heliograph demo --overwrite
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n 2

@@ -24,7 +24,7 @@ _SETTLED_SHARE = 0.2  # of the run, after which a bias should have settled
 _MIN_JUDGED, _EARLY = 40, 600  # scans before which nothing is judged, and after which a run is too far to begin anew
 _DISPUTED_SHARE = 0.3  # of those that found no place, or one that the IMU contradicts
 _MENDABLE = frozenset({
-    "accel-unit", "gyro-unit", "clock-offset", "gyro-axes", "accel-axes", "mounting", "imu-prediction",
+    "imu-channels", "accel-unit", "gyro-unit", "clock-offset", "gyro-axes", "accel-axes", "mounting", "imu-prediction",
 })  # fmt: skip
 
 
@@ -57,7 +57,7 @@ class RunWatch(Stateful):
         self._walls = SurfaceWatch() if "lidar" in sensors else None
         self._biases: list[Array] = []
         self._bias_every = 1
-        self._seen = self._degenerate = self._disputed = 0
+        self._seen = self._degenerate = self._disputed = self._pieces = 0
         self._last_bias = np.full(6, np.nan)
         self._rms = float("nan")
 
@@ -79,16 +79,17 @@ class RunWatch(Stateful):
         self._degenerate += result.status == "degenerate"
         against = any(event.code == "match-against-imu" for event in result.events)
         self._disputed += against or not result.matched
+        self._pieces += any(event.code == "new-piece" for event in result.events)
         if result.matches and np.isfinite(result.rms):
             self._rms = result.rms if not np.isfinite(self._rms) else 0.95 * self._rms + 0.05 * result.rms
         return self._inertial is not None and self._inertial.add(result)
 
     @property
     def contradicted(self) -> bool:
-        """Whether IMU and LiDAR contradict each other, or many scans find no place that both allow, early on."""
+        """Whether IMU and LiDAR contradict each other, or the map is torn or many scans unplaced by both, early on."""
         if self._inertial is None or not self._seen >= _MIN_JUDGED:
             return False
-        if self._seen <= _EARLY and self._disputed > _DISPUTED_SHARE * self._seen:
+        if self._seen <= _EARLY and (self._pieces or self._disputed > _DISPUTED_SHARE * self._seen):
             return True
         return len(self._inertial.windows) == 1 and any(
             finding.verdict == "fail" and finding.code in _MENDABLE for finding in self._inertial.windows[0]

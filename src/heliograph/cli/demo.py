@@ -22,17 +22,21 @@ def demo(
         "heliograph_demo"
     ),
     seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Of the simulation.")] = 1,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier demo in the folder.")] = False,
     threads: Annotated[int, typer.Option("--threads", metavar="N", min=0, help="Default: min(2, cores).")] = 0,
     json: options.Json = False,
     quiet: options.Quiet = False,
 ) -> None:
     """Simulate a short drive, map it, compare the result with the truth, and name the report."""
     from heliograph.config import RunConfig
+    from heliograph.errors import OutputError
     from heliograph.metrics import evaluate
     from heliograph.sim import find_scenario
     from heliograph.sim.write import write_recording
 
     recording, folder = output / "recording", output / "run"
+    if not overwrite and any(part.is_dir() and any(part.iterdir()) for part in (recording, folder)):
+        raise OutputError(f"{output} holds a demo already; choose another with -o or add --overwrite")
     talk = not (json or quiet)
     if talk:
         typer.echo("simulating half a minute with a 64-beam LiDAR and an IMU ...")
@@ -41,6 +45,9 @@ def demo(
     if talk:
         typer.echo(f"mapping it: heliograph run {recording} -o {folder}")
     run, interrupted = execute([recording], RunConfig(threads=threads), folder, overwrite=True, progress=not quiet)
+    if interrupted:
+        print_closing(run.facts, folder, json=json, quiet=quiet)
+        raise typer.Exit(interrupted)
     result = evaluate(
         read_trajectory(folder, "trajectory.tum"), read_trajectory(recording, "groundtruth_imu.tum"), align="se3"
     )
@@ -50,5 +57,3 @@ def demo(
         print_closing(run.facts, folder, json=False, quiet=quiet)
         typer.echo("against the truth:\n  " + "\n  ".join(evaluation_lines(result)))
         typer.echo(f"open {folder / 'report.html'} in a browser")
-    if interrupted:
-        raise typer.Exit(interrupted)

@@ -119,7 +119,10 @@ def _outcome(arguments: list[str]) -> int:
         return _fail(f"ended by {ended}", ended.code)
     except (KeyboardInterrupt, typer.Abort):
         return _fail("interrupted", INTERRUPTED)
-    except BrokenPipeError:  # `heliograph info ... | head`: the reader has what it wanted
+    except (
+        BrokenPipeError,
+        SystemExit,
+    ):  # of `heliograph info ... | head`; click exits then
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception:

@@ -147,6 +147,7 @@ def solve(
     wildfire: Annotated[
         float, typer.Option("--wildfire", min=0.0, help="isam2: smaller changes are not carried on [rad, m].")
     ] = 1e-3,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the output file if there is one.")] = False,
     json: options.Json = False,
 ) -> None:
     """Find the poses that a pose graph makes most likely."""
@@ -157,6 +158,7 @@ def solve(
     }
     steps = {"relinearize_skip": skip, "relinearize_threshold": threshold, "wildfire": wildfire}
     limits = _limits(solver, tolerance, max_iterations)
+    _check_free(output, overwrite=overwrite)
     request = _Request(
         graph=graph, output=output, plot=plot, solver=solver, init=init, robust=robust, reading=reading,
         limits=limits, steps=steps, threads=threads, json=json,
@@ -288,6 +290,14 @@ def _check_folder(path: Path | None) -> None:
 
     if path is not None and not path.parent.is_dir():
         raise OutputError(f"cannot write {path}: there is no folder {path.parent}; make it or choose another")
+
+
+def _check_free(output: Path | None, *, overwrite: bool) -> None:
+    """Refuse to replace a file that nobody said may go; an empty one, as `mktemp` makes it, may."""
+    from heliograph.errors import OutputError
+
+    if output is not None and not overwrite and output.is_file() and output.stat().st_size:
+        raise OutputError(f"{output} exists already; choose another with -o or add --overwrite")
 
 
 def _task(path: Path, init: Init, kernel: Kernel | None, reading: dict[str, Any]) -> _Task:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from heliograph.data import Trajectory
 from heliograph.errors import ConfigError
@@ -16,9 +17,7 @@ from heliograph.metrics.trajectory import (
     absolute_trajectory_error,
     associate,
     best_time_offset,
-    path_length,
     relative_pose_error,
-    start_end_gap,
 )
 
 __all__ = ["Evaluation", "evaluate"]
@@ -39,13 +38,13 @@ class Evaluation:
     duration : float
         From the first to the last compared pose [s].
     path_length : float
-        Path length of the whole reference [m].
+        Length of the reference's path between those [m].
     absolute : AbsoluteError
         After alignment.
     relative : RelativeError
         Over `delta` metres of path.
     start_end_gap, start_end_gap_reference : float
-        Straight distance between first and last position [m].
+        Straight distance between the first and the last of the compared positions [m].
     """
 
     align: str
@@ -118,12 +117,16 @@ def evaluate(
         poses_reference=len(reference),
         poses_compared=len(pair),
         duration=float(pair.stamps_ns[-1] - pair.stamps_ns[0]) * 1e-9,
-        path_length=path_length(reference),
+        path_length=float(pair.distance[-1] - pair.distance[0]),
         absolute=absolute_trajectory_error(pair, mode=align),
         relative=relative_pose_error(pair, delta=delta),
-        start_end_gap=start_end_gap(estimate),
-        start_end_gap_reference=start_end_gap(reference),
+        start_end_gap=_gap(pair.T_estimate),
+        start_end_gap_reference=_gap(pair.T_reference),
     )
+
+
+def _gap(T: NDArray[np.float64]) -> float:
+    return float(np.linalg.norm(T[-1, :3, 3] - T[0, :3, 3]))
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever the records hold

@@ -18,7 +18,9 @@ from heliograph.checks.agreement import check_clock_offset, check_prediction
 from heliograph.checks.arrangement import ARRANGEMENTS, accel_arrangement, gyro_arrangement, name_of
 from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
 from heliograph.checks.evidence import GRAVITY, Evidence, gather
+from heliograph.checks.fit import cross, nearest_orthogonal
 from heliograph.checks.records import CheckedMotion, ImuRecord
+from heliograph.checks.signals import check_channels
 from heliograph.checks.units import check_accel_unit, check_gyro_unit
 from heliograph.config import RunConfig
 from heliograph.data import Event, ImuBatch, ImuClock, Message, Rig, SensorRepair, Source
@@ -35,8 +37,17 @@ _NO_GRAVITY = 2.0  # mean length of the specific force below which gravity was t
 _UNIT_TOLERANCE = 0.08  # relative error of a scale that is still a unit's, and no fault of another kind
 _MIN_OFFSET, _OFFSET_SIGMAS = 0.03, 10.0  # of a clock offset that is mended [s]; less is the calibration's business
 _MAX_ROTATION_SIGMA, _MAX_OFFSET_SIGMA = np.radians(1.0), 0.005  # of what a calibration may put in place [rad], [s]
+_TURNS_SIGMA = 0.5  # of a mounting's rotation by the turns alone [rad]
 _ACCEL_FACTORS = {"g": GRAVITY, "mg": 1e-3 * GRAVITY, "cm/s^2": 1e-2, "mm/s^2": 1e-3}
-_GYRO_FACTORS = {"deg/s": np.pi / 180.0, "mrad/s": 1e-3, "mdeg/s": np.pi / 180e3, "turns a second": 2.0 * np.pi}
+_GYRO_FACTORS = {
+    "deg/s": np.pi / 180.0,
+    "mrad/s": 1e-3,
+    "mdeg/s": np.pi / 180e3,
+    "turns a second": 2.0 * np.pi,
+    # What the reader has converted by its numbers alone, and wrongly.
+    "rad/s, not deg/s": 180.0 / np.pi,
+    "mrad/s, not deg/s": 0.18 / np.pi,
+}
 
 Step = Callable[[Evidence], "SensorRepair | None"]
 
@@ -62,11 +73,12 @@ def find_repairs(
     whole = ImuBatch.joined(tee.batches)
     if len(whole) < 2:
         return ()
-    if motion is None or (lost := _without_gravity(_evidence(whole, motion, config))) is not None:
+    if motion is None or (lost := _useless(_evidence(whole, motion, config))) is not None:
         return (lost,) if motion is not None and lost is not None and config.sensors == "auto" else ()
     found, wrong = sensor_repairs(whole, motion, config, sure=sure)
     if wrong or any(not repair.clock.exact for repair in found):
-        measured = _measured(RepairedSource(source, found), config, threads, unknown=wrong)
+        start = _by_turns(_evidence(_mended(whole, found), motion, config)) if wrong else None
+        measured = _measured(RepairedSource(source, found), config, threads, start)
         if measured is None:
             return () if wrong else _proven(found, whole, motion, config)
         found.append(measured)
@@ -131,6 +143,15 @@ def _mended(imu: ImuBatch, repairs: Sequence[SensorRepair]) -> ImuBatch:
     return imu
 
 
+def _useless(evidence: Evidence) -> SensorRepair | None:
+    """Leave the IMU out where a channel of it is dead, or gravity was taken out."""
+    finding = check_channels(evidence)
+    if finding.verdict != "fail":
+        return _without_gravity(evidence)
+    sentence = f"{finding.evidence}; the run goes on with the LiDAR alone, and up is not known - {finding.remedy}"
+    return SensorRepair(code="imu-channels", sentence=sentence, without_imu=True)
+
+
 def _without_gravity(evidence: Evidence) -> SensorRepair | None:
     """Leave the IMU out where the accelerometer shows no gravity: what is left of it tells no level and little else."""
     finding = check_accel_unit(evidence)
@@ -145,11 +166,11 @@ def _accel_unit(evidence: Evidence) -> SensorRepair | None:
     if finding.verdict != "fail":
         return None
     raw = next(number.value for number in finding.numbers if number.name == "mean force as recorded")
-    unit = _unit_of(GRAVITY / raw if raw else 0.0, _ACCEL_FACTORS)
+    unit, factor = _unit_of(GRAVITY / raw if raw else 0.0, _ACCEL_FACTORS)
     if not unit:
         return None
-    sentence = f"the accelerometer counts in {unit}: {finding.evidence}; it is multiplied by {_ACCEL_FACTORS[unit]:.6g}"
-    return SensorRepair(code="accel-unit", sentence=sentence, accel=_ACCEL_FACTORS[unit] * np.eye(3))
+    sentence = f"the accelerometer counts in {unit}: {finding.evidence}; it is multiplied by {factor:.6g}"
+    return SensorRepair(code="accel-unit", sentence=sentence, accel=factor * np.eye(3))
 
 
 def _gyro_unit(evidence: Evidence) -> SensorRepair | None:
@@ -157,16 +178,21 @@ def _gyro_unit(evidence: Evidence) -> SensorRepair | None:
     if finding.verdict != "fail":
         return None
     raw = next((number.value for number in finding.numbers if number.name == "scale as recorded"), None)
-    unit = _unit_of(1.0 / raw if raw else 0.0, _GYRO_FACTORS)
+    unit, factor = _unit_of(1.0 / raw if raw else 0.0, _GYRO_FACTORS)
     if not unit:
         return None
-    sentence = f"the gyroscope counts in {unit}: {finding.evidence}; it is multiplied by {_GYRO_FACTORS[unit]:.6g}"
-    return SensorRepair(code="gyro-unit", sentence=sentence, gyro=_GYRO_FACTORS[unit] * np.eye(3))
+    sentence = f"the gyroscope counts in {unit}: {finding.evidence}; it is multiplied by {factor:.6g}"
+    return SensorRepair(code="gyro-unit", sentence=sentence, gyro=factor * np.eye(3))
 
 
-def _unit_of(factor: float, units: dict[str, float]) -> str:
-    near = [name for name, value in units.items() if factor > 0.0 and abs(np.log(value / factor)) < _UNIT_TOLERANCE]
-    return near[0] if len(near) == 1 else ""
+def _unit_of(factor: float, units: dict[str, float]) -> tuple[str, float]:
+    """Return the unit nearest to a factor, with those as good as it (mg, cm/s^2), and what to multiply by.
+
+    Such differ by less than sensors' scales do, so whichever is taken does no harm.
+    """
+    off = {name: abs(float(np.log(value / factor))) for name, value in units.items()} if factor > 0.0 else {}
+    near = sorted((name for name in off if off[name] < _UNIT_TOLERANCE), key=lambda name: off[name])
+    return (" or ".join(near), units[near[0]]) if near else ("", 1.0)
 
 
 def _offset_step(sure: bool) -> Step:
@@ -230,16 +256,24 @@ def _wrong_mounting(evidence: Evidence) -> bool:
     return accel is None or bool(np.any(accel.possible & gyro.possible))
 
 
-def _measured(source: Source, config: RunConfig, threads: int, *, unknown: bool) -> SensorRepair | None:
-    """Let a calibration find mounting and clock, beginning from nothing where the mounting is wrong."""
-    given = source.rig
+def _by_turns(evidence: Evidence) -> Array:
+    """Return the mounting's rotation that the turns show, and no lever arm: a calibration looks only nearby."""
+    T = np.eye(4)
+    if evidence.turns is not None:
+        T[:3, :3] = nearest_orthogonal(cross(evidence.turns)[0], handed=1.0)
+    return T
+
+
+def _measured(source: Source, config: RunConfig, threads: int, start: Array | None) -> SensorRepair | None:
+    """Let a calibration find mounting and clock, from ``start`` (4, 4) where the mounting is wrong as it was given."""
+    given, unknown = source.rig, start is not None
     rig = given
-    if unknown:
+    if start is not None:
         rig = Rig(
-            T_imu_lidar=np.eye(4),
+            T_imu_lidar=start,
             source="distrusted",
             known=False,
-            sigma_rotation=float(np.pi),
+            sigma_rotation=_TURNS_SIGMA,
             sigma_translation=config.calibration.prior_lever,
             clock=given.clock,
         )

@@ -100,6 +100,9 @@ def side_view(points: NDArray[np.float32], path: NDArray[np.float64], top: View)
     axes = np.stack([right, up, np.cross(right, up)])
     # Some sky over a wide flat scene: a strip of a few pixels shows nothing, and the names need room.
     high[2] = max(high[2], low[2] + _MIN_SIDE_HEIGHT * top.shape[1] * top.pixel)
+    reach = 0.5 * _MAX_HEIGHT * top.pixel  # of a path that shot off into the sky a part must do
+    middle = float(np.median(path[:, 2]))
+    low[2], high[2] = max(low[2], middle - reach), min(high[2], middle + reach)
     return _view(axes, (top.labels[0], "z"), low, high, top.shape[1], _MAX_HEIGHT // 2, pixel=top.pixel)
 
 

@@ -143,6 +143,26 @@ def test_interrupt_that_the_process_ignores_stays_ignored(sigint):
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
+def test_demo_interrupted_exits_130_and_asks_before_it_replaces(call, tmp_path, monkeypatch, sigint, no_report):
+    sigint(signal.default_int_handler)
+    short = find_scenario("demo").thinned(beams=16, columns=180, duration=4.0)
+    monkeypatch.setattr("heliograph.sim.find_scenario", lambda _: short)
+    monkeypatch.setattr(progress.ProgressSink, "add", lambda *_: signal.raise_signal(signal.SIGINT))
+    code, out, err = call("demo", "-o", "shown")
+    assert code == 130 and "interrupted" in err and "against the truth" not in out
+    code, _, err = call("demo", "-o", "shown")
+    assert code == 2 and "shown holds a demo already; choose another with -o or add --overwrite" in err
+
+
+def test_reader_that_went_away_is_no_defect(recording):
+    command = [sys.executable, "-c", "import sys; from heliograph.cli.main import main; sys.exit(main())"]
+    read, write = os.pipe()
+    os.close(read)
+    ended = subprocess.run([*command, "info", recording], stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert ended.returncode == 0 and ended.stderr == ""
+
+
 def test_run_on_a_full_disk_leaves_valid_files_and_one_line(call, recording, tmp_path, no_report):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, limits[1]))  # every file ends at 40 KB: the map does not fit

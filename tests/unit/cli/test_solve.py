@@ -186,9 +186,18 @@ def test_robust_kernel_holds_false_loops_off(solve, rng, tmp_path):
 
     facts(solve("spoilt.g2o", "-o", "out.g2o", "--json"))
     assert error() > 1.0
-    found, _ = facts(solve("spoilt.g2o", "-o", "out.g2o", "--robust", "geman-mcclure:3", "--json"))
+    found, _ = facts(solve("spoilt.g2o", "-o", "out.g2o", "--overwrite", "--robust", "geman-mcclure:3", "--json"))
     assert error() < 0.5
     assert found["robust"] == "geman-mcclure:3" and found["final_cost"] < found["final_chi2"]
+
+
+def test_output_is_replaced_only_when_told(solve, city, tmp_path):
+    (tmp_path / "out.g2o").write_text("mine")
+    code, _, err = solve("city.g2o", "-o", "out.g2o")
+    assert code == 2 and "out.g2o exists already; choose another with -o or add --overwrite" in err
+    assert (tmp_path / "out.g2o").read_text() == "mine"
+    facts(solve("city.g2o", "-o", "out.g2o", "--overwrite", "--json"))
+    assert (tmp_path / "out.g2o").read_text() != "mine"
 
 
 def test_fixed_poses_stay(solve, tmp_path):

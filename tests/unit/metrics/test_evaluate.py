@@ -42,3 +42,12 @@ def test_evaluate_as_dict_is_json_without_nan():
 def test_evaluate_refuses_an_unknown_offset_word():
     with pytest.raises(ConfigError, match="auto"):
         evaluate(path(), path(), time_offset="best")
+
+
+def test_evaluate_tells_path_and_gap_of_what_is_compared():
+    whole = path()
+    half = Trajectory(stamps_ns=whole.stamps_ns[100:200], T_frame_body=whole.T_frame_body[100:200])
+    result, p = evaluate(half, whole), half.T_frame_body[:, :3, 3]
+    assert result.path_length == pytest.approx(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
+    assert result.start_end_gap_reference == pytest.approx(np.linalg.norm(p[-1] - p[0]))
+    assert evaluate(whole, half).start_end_gap == pytest.approx(result.start_end_gap_reference)

@@ -8,7 +8,7 @@ import pytest
 from heliograph.checks.arrangement import ARRANGEMENTS
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, ImuClock, Rig, SensorRepair
-from heliograph.repair import RepairedSource
+from heliograph.repair import RepairedSource, find
 from heliograph.repair.find import sensor_repairs
 from heliograph.sim import SCENARIOS
 from imu_records import made_records
@@ -72,10 +72,16 @@ def test_one_fault_is_mended_by_what_undoes_it(sound, code, spoilt):
     assert len(repair.sentence) > 40
 
 
-def test_units_that_are_too_alike_are_left_to_the_user(sound):
+def test_units_that_are_too_alike_are_both_named(sound):
     """A thousandth of g and a centimetre per second squared differ by 2 %, as an accelerometer's scale may."""
-    found, _ = repairs_of(sound, accel=np.eye(3) / 9.80665e-3)
-    assert found == []
+    (found,), _ = repairs_of(sound, accel=np.eye(3) / 9.80665e-3)
+    assert "mg" in found.sentence and "cm/s^2" in found.sentence
+    np.testing.assert_allclose(found.accel, 9.80665e-3 * np.eye(3), rtol=0.021)
+
+
+def test_a_unit_that_the_reader_has_converted_wrongly_is_put_right(sound):
+    (found,), _ = repairs_of(sound, gyro=np.eye(3) * 1e3 * np.pi / 180.0)  # mrad/s, taken for deg/s
+    np.testing.assert_allclose(found.gyro, np.eye(3) * 0.18 / np.pi, rtol=1e-9)
 
 
 @pytest.mark.parametrize("turn", [HALF_TURN, QUARTER_TURN])
@@ -86,6 +92,25 @@ def test_a_turn_that_both_sensors_show_is_the_mountings_fault(sound, turn):
 
 def test_a_small_offset_is_left_to_calibration(sound):
     assert repairs_of(sound, late=0.01) == ([], False)
+
+
+@pytest.mark.parametrize("channel", ["gyro", "accel"])
+def test_a_dead_channel_leaves_the_imu_out(sound, channel):
+    imu, motion = sound
+    dead = np.diag([1.0, 0.0, 1.0])
+    batch = replace(batch_of(imu), **{channel: getattr(batch_of(imu), channel) @ dead})
+    lost = find._useless(find._evidence(batch, motion, RunConfig()))
+    assert lost.code == "imu-channels" and lost.without_imu and " y does not change" in lost.sentence
+    assert find._useless(find._evidence(batch_of(imu), motion, RunConfig())) is None
+
+
+@pytest.mark.parametrize("turn", [HALF_TURN, QUARTER_TURN])
+def test_a_calibration_begins_at_the_turns_that_both_saw(sound, turn):
+    imu, motion = sound
+    spoilt = replace(batch_of(imu), gyro=batch_of(imu).gyro @ turn.T, accel=batch_of(imu).accel @ turn.T)
+    start = find._by_turns(find._evidence(spoilt, motion, RunConfig()))[:3, :3]
+    off = start.T @ turn @ motion.rig.T_imu_lidar[:3, :3]
+    assert np.degrees(np.arccos(np.clip((np.trace(off) - 1.0) / 2.0, -1.0, 1.0))) < 3.0
 
 
 class Live:

@@ -41,7 +41,9 @@ def write_las(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Se
     header = las_header(laspy, types, comments)
     header.offsets = np.floor(xyz.min(axis=0)) if len(xyz) else np.zeros(3)
     las = laspy.LasData(header)
+    header.global_encoding.wkt = True  # which point formats from 6 on demand, with a coordinate system or without
     las.x, las.y, las.z = xyz.T
+    las.return_number = las.number_of_returns = np.ones(len(xyz), np.uint8)  # 0 is no return's number
     if "intensity" in table:
         las.intensity = sixteen_bits(table["intensity"], float(np.nanmax(table["intensity"], initial=0.0)))
     for name in extra_columns(types):

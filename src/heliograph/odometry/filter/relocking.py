@@ -31,6 +31,7 @@ __all__ = ["Relocker", "find_place", "find_place_anywhere", "new_piece"]
 _VAGUE_SIGMA = 0.1  # of a predicted position that is sought widely [m]
 _SEEK_AT_ONCE, _SEEK_EVERY = 3, 3  # scans that are sought one by one, and from one search to the next after those
 _GIVE_UP_NS = 3_000_000_000  # of scans without a place, after which a new piece of map is begun [ns]
+_MAX_VAIN, _SEEK_RARELY = 12, 30  # searches without a start that may lead nowhere, and scans between others after that
 _MIN_SOUGHT = 5  # of them that were sought
 _SILENCE_NS, _SILENT_PERIODS, _PERIOD_GAIN = 300_000_000, 2.5, 0.1  # without a match, before a prediction is astray
 _ASTRAY_SIGMA, _ASTRAY_TURN = 0.3, np.radians(5.0)  # of what a narrow search comes home from [m], [rad]
@@ -75,6 +76,7 @@ class Relocker(Stateful):
         self._last_ns = 0
         self._events: tuple[Event, ...] = ()
         self._remembered: tuple[NDArray[np.float32], Array] | None = None
+        self._vain = [0]  # searches anywhere since the last that led somewhere; its copies count along
 
     def astray(self, prior: NavState, covariance: Array) -> bool:
         """Whether a silence has left the prediction so vague that the place nearest to it may be a wrong one."""
@@ -103,8 +105,9 @@ class Relocker(Stateful):
         poses = _grid(prior, covariance)
         if poses is not None:
             return find_place(prior, poses, local_map, points_imu, attempt, usual_share)
-        if self._remembered is None:
+        if self._remembered is None or (self._vain[0] > _MAX_VAIN and self._count % _SEEK_RARELY):
             return None
+        self._vain[0] += 1
         return find_place_anywhere(prior, covariance, *self._remembered, points_imu, attempt, usual_share)
 
     def remember(self, points_imu: NDArray[np.float32], T_odom_imu: Array) -> None:
@@ -126,6 +129,8 @@ class Relocker(Stateful):
             if self._since_ns is None and self._matched_ns is not None:
                 step_ns = float(prior.stamp_ns - self._matched_ns)
                 self._period_ns += _PERIOD_GAIN * (step_ns - self._period_ns) if self._period_ns else step_ns
+            if self.seeking:
+                self._vain[0] = 0
             self._matched_ns = prior.stamp_ns
             self._since_ns, self._count, self.seeking = None, 0, False
             return False

@@ -203,6 +203,7 @@ def test_las_holds_millimetres_and_extra_columns(tmp_path, points, suffix):
     np.testing.assert_allclose(read.xyz, finite, rtol=0, atol=0.00051)
     np.testing.assert_array_equal(read.intensity, np.rint(intensity))
     np.testing.assert_array_equal(read["ring"], np.arange(len(finite)))
+    assert read.header.global_encoding.wkt and set(read.return_number) == set(read.number_of_returns) == {1}
 
 
 def test_las_refuses_nan(tmp_path, points):
