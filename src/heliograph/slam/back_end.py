@@ -397,12 +397,13 @@ class BackEnd:
         gate = chi_square_quantile(_BELIEVED, 6)
         slack = diagonal(self._config.loops.slack_deg, self._config.loops.slack)
         while self._in_force:
-            T = self.T_map_imu
-            off = {number: _misfit(self.ledger[number], T, slack) for number in self._in_force}
-            worst = max(off, key=lambda number: off[number])
-            if off[worst] <= gate:
+            numbers = list(self._in_force)
+            off = _misfits([self.ledger[number].evidence for number in numbers], self.T_map_imu, slack)
+            most = int(np.argmax(off))
+            if off[most] <= gate:
                 break
-            revoked.append(self.ledger.revoke(worst, "solve", chi2=off[worst], allowed=gate))
+            worst = numbers[most]
+            revoked.append(self.ledger.revoke(worst, "solve", chi2=float(off[most]), allowed=gate))
             self._smoother.update(remove=[self._in_force.pop(worst)], iterate=_CONVERGED)
         return revoked
 
@@ -472,11 +473,12 @@ def _loop_factor(entry: LedgerEntry) -> Between:
     return Between(X(loop.match), X(loop.query), SE3(loop.T_match_query), Covariance(loop.covariance))
 
 
-def _misfit(entry: LedgerEntry, T_map_imu: Array, slack: Array) -> float:
-    """Squared distance between a loop and the solution, in the loop's own covariance and the slack."""
-    loop = entry.evidence
-    d = se3.local(loop.T_match_query, se3.inverse(T_map_imu[loop.match]) @ T_map_imu[loop.query])
-    return float(d @ np.linalg.solve(loop.covariance + slack, d))
+def _misfits(loops: Sequence[LoopEvidence], T_map_imu: Array, slack: Array) -> Array:
+    """Squared distances (N,) between loops and the solution, in each loop's own covariance and the slack."""
+    T = se3.inverse(T_map_imu[[loop.match for loop in loops]]) @ T_map_imu[[loop.query for loop in loops]]
+    d = se3.local(np.stack([loop.T_match_query for loop in loops]), T)
+    weighted = np.linalg.solve(np.stack([loop.covariance for loop in loops]) + slack, d[..., None])[..., 0]
+    return np.asarray((d * weighted).sum(axis=1))
 
 
 def _events(keyframe: Keyframe, changed: Sequence[LedgerEntry], moved: float) -> tuple[Event, ...]:

@@ -107,11 +107,17 @@ class OdometryChain(Stateful):
 
     def relative(self, i: int, j: int) -> tuple[Array, Array]:
         """Return ``T_i_j`` (4, 4) by the odometry, and the covariance of a right perturbation of it (6, 6)."""
-        Ad = se3.adjoint(se3.inverse(self.pose(j)))
+        # Asked for ten thousand times a minute where a place is revisited: the groups' checks would take most of it.
+        A, B = self._poses.all[i], self._poses.all[j]
+        R, p = B[:3, :3].T, B[:3, 3]
+        Ad = np.zeros((6, 6))
+        Ad[:3, :3] = Ad[3:, 3:] = R
+        Ad[3:, :3] = R @ [[0.0, p[2], -p[1]], [-p[2], 0.0, p[0]], [p[1], -p[0], 0.0]]
         between = self._sums.all[j] - self._sums.all[i]
-        return np.asarray(se3.inverse(self.pose(i)) @ self.pose(j)), np.asarray(
-            Ad @ (between if i <= j else -between) @ Ad.T
-        )
+        T = np.eye(4)
+        T[:3, :3] = A[:3, :3].T @ B[:3, :3]
+        T[:3, 3] = A[:3, :3].T @ (p - A[:3, 3])
+        return T, np.asarray(Ad @ (between if i <= j else -between) @ Ad.T)
 
     def variances(self, here: int, j: int, first: int, last: int) -> Array:
         """Return what the way from keyframes ``first`` to ``last`` - 1 to j leaves open, seen at another, (N, 6).

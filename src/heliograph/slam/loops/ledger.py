@@ -139,9 +139,10 @@ class Ledger(Stateful):
         agree = np.eye(n, dtype=bool)
         for i, entry in enumerate(group):
             unknown = [e for e in group[:i] if (e.number, entry.number) not in self._agree]
-            found = agreements(entry.evidence, [e.evidence for e in unknown], relative, self.config)
-            for other, same in zip(unknown, found.tolist(), strict=True):
-                self._agree[other.number, entry.number] = same
+            if unknown:
+                found = agreements(entry.evidence, [e.evidence for e in unknown], relative, self.config)
+                for other, same in zip(unknown, found.tolist(), strict=True):
+                    self._agree[other.number, entry.number] = same
             for j, other in enumerate(group[:i]):
                 agree[i, j] = agree[j, i] = self._agree[other.number, entry.number]
         inside = {entry.number for entry in group}  # a shift of many hours keeps no more than these
