@@ -52,9 +52,11 @@ ALLOWED: dict[str, set[str]] = {
     "factors": COMMON | FACTORS,
     "slam": COMMON | SLAM | {"metrics"},
     "survey": COMMON | SLAM | {"slam", "io", "output"},
-    "revision": COMMON | SLAM | {"slam", "io", "output"},
+    "revision": COMMON | SLAM | {"edits", "slam", "io", "output"},
+    "edits": {"errors", "arrays"},
+    "editing": COMMON | SLAM | {"slam", "edits", "revision"},
     "localization": COMMON | SLAM | {"slam", "io", "output", "revision"},
-    "merging": COMMON | SLAM | {"slam", "io", "output", "revision", "localization"},
+    "merging": COMMON | SLAM | {"slam", "io", "output", "edits", "editing", "revision", "localization"},
     "calibration": COMMON | SLAM,
     "io": COMMON | SENSING,
     "sim": COMMON | SENSING,
@@ -75,7 +77,18 @@ ALLOWED: dict[str, set[str]] = {
     "cli": COMMON
     | SLAM
     | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report"}
-    | {"comparison", "localization", "merging", "revision", "support", "survey", "lab", "checkpoint"},
+    | {
+        "comparison",
+        "edits",
+        "editing",
+        "localization",
+        "merging",
+        "revision",
+        "support",
+        "survey",
+        "lab",
+        "checkpoint",
+    },
 }
 """Room below `heliograph` -> the rooms that it may import."""
 

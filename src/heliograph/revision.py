@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from heliograph.arrays import Array, freeze
+from heliograph.arrays import Array, Mask, Points, freeze
 from heliograph.atomic import atomic_folder, write_text
 from heliograph.config import OutputConfig, RunConfig
 from heliograph.config_toml import load_config
 from heliograph.data import GraphAccount
+from heliograph.edits import EDITS, RunEdits, read_edits
 from heliograph.errors import DataError, FormatError
 from heliograph.factors import SENSOR_FACTORS
 from heliograph.graph import Symbol, load_graph
 from heliograph.guard.account import read_account
-from heliograph.maps import GlobalMap
+from heliograph.maps import GlobalMap, transformed
 from heliograph.output.facts import graph_facts
 from heliograph.output.final_poses import FinalPoses
 from heliograph.output.manifest import hashed_files
@@ -33,7 +34,7 @@ from heliograph.slam.graph_files import write_graph_files
 from heliograph.slam.loops import Ledger, LedgerEntry
 from heliograph.slam.loops.ledger_file import read_ledger
 
-__all__ = ["RunGraph", "open_run_graph", "write_keyframe_map"]
+__all__ = ["RunGraph", "open_run_graph", "sessions_of", "write_keyframe_map"]
 
 X = Symbol("X")
 _SCANS = "scans.csv"
@@ -57,6 +58,8 @@ class RunGraph:
         Poses of the keyframes in the files of the map frame.
     fixes : KeptFixes or None
         What the graph holds of satellite fixes.
+    edits : RunEdits
+        What a plan leaves out.
     """
 
     folder: Path
@@ -66,9 +69,27 @@ class RunGraph:
     ledger: Ledger
     T_map_imu: Array
     fixes: KeptFixes | None = None
+    edits: RunEdits = field(default_factory=RunEdits)
 
     def __post_init__(self) -> None:
         freeze(self)
+
+    def points(self, index: int) -> Points:
+        """Return a keyframe's cloud (N, 3) float32, imu frame [m], without what a plan of edits leaves out."""
+        points = self.store.points(index)
+        return np.ascontiguousarray(points[self._kept(points, index, self.T_map_imu[index])])
+
+    def dropped(self, index: int) -> bool:
+        """Whether a keyframe belongs to a session that a plan of edits drops."""
+        sessions = sessions_of(self.facts)
+        return any(index in sessions.get(name, range(0)) for name in self.edits.dropped)
+
+    def _kept(self, points_imu: Points, index: int, T_map_imu: Array) -> Mask:
+        if self.dropped(index):
+            return np.zeros(len(points_imu), dtype=bool)
+        if not self.edits.boxes:
+            return np.ones(len(points_imu), dtype=bool)
+        return self.edits.kept(transformed(points_imu, np.ascontiguousarray(T_map_imu)))
 
     def revoke(self, number: int) -> LedgerEntry:
         """Take a loop back by hand; `resolve` brings it into the files.
@@ -102,10 +123,15 @@ class RunGraph:
             )
         return self.ledger.add_by_hand(evidence)
 
-    def resolve(self) -> GraphAccount:
+    def resolve(self, *, beside: Mapping[str, str] | None = None) -> GraphAccount:
         """Solve the graph with the loops that stand, and write the run's files anew: all of them, or none.
 
         The map is put together from the keyframes' clouds, which are thinner than the run's own.
+
+        Parameters
+        ----------
+        beside : mapping of str to str, optional
+            Other files that are written with them: names and texts.
 
         Raises
         ------
@@ -123,7 +149,7 @@ class RunGraph:
             facts = {
                 **self.facts,
                 "graph": graph_facts(account),
-                "map_points": write_keyframe_map(self.store, T_new, self.config.output, folder),
+                "map_points": write_keyframe_map(self.store, T_new, self.config.output, folder, self._kept),
             }
             if "wheels" in self.facts["graph"]:
                 facts["graph"]["wheels"] = self.facts["graph"]["wheels"]
@@ -135,11 +161,28 @@ class RunGraph:
             new = {entry["name"]: entry for entry in hashed_files(sorted(folder.iterdir()))}
             facts["outputs"] = [new.get(entry["name"], entry) for entry in facts.get("outputs", ())]
             write_text(folder / "run.json", json.dumps(facts, indent=2) + "\n")
+            for name, text in (beside or {}).items():
+                write_text(folder / name, text)
         return account
 
 
-def write_keyframe_map(store: KeyframeStore, T_map_imu: Array, output: OutputConfig, folder: Path) -> int:
+def write_keyframe_map(
+    store: KeyframeStore,
+    T_map_imu: Array,
+    output: OutputConfig,
+    folder: Path,
+    kept: Callable[[Points, int, Array], Mask] | None = None,
+) -> int:
     """Put a map together from keyframes' clouds, write it as a run does, and return the number of its points.
+
+    Parameters
+    ----------
+    store : KeyframeStore
+    T_map_imu : (K, 4, 4) float64
+    output : OutputConfig
+    folder : Path
+    kept : callable, optional
+        Cloud, number and pose of a keyframe -> which of its points belong to the map; all by default.
 
     Raises
     ------
@@ -150,13 +193,26 @@ def write_keyframe_map(store: KeyframeStore, T_map_imu: Array, output: OutputCon
     try:
         for number, (keyframe, T) in enumerate(zip(store, T_map_imu, strict=True)):
             part.clear()
-            part.insert(keyframe.points_imu, keyframe.intensity, np.ascontiguousarray(T))
+            points, intensity = keyframe.points_imu, keyframe.intensity
+            if kept is not None:
+                some = kept(points, keyframe.index, T)
+                points, intensity = points[some], None if intensity is None else intensity[some]
+            part.insert(np.ascontiguousarray(points), intensity, np.ascontiguousarray(T))
             tiles.add(part.cells(), number)
         bounds = MapBounds(stamps_ns=store.stamps_ns, largest=tiles.largest, brightest=tiles.brightest)
         blocks = (tile.own(tile.whole.averaged(output.surface_thickness)) for tile in tiles)
         return write_map(folder / f"map.{output.map_format}", ((bounds, block) for block in blocks)).count
     finally:
         tiles.close()
+
+
+def sessions_of(facts: Mapping[str, Any]) -> dict[str, range]:
+    """Return the merged sessions that a run's account names, and which keyframes are theirs."""
+    sessions: dict[str, range] = {}
+    for row in facts.get("sessions", ()):
+        if isinstance(row, dict) and type(row.get("first_keyframe")) is int and type(row.get("keyframes")) is int:
+            sessions[str(row.get("name"))] = range(row["first_keyframe"], row["first_keyframe"] + row["keyframes"])
+    return sessions
 
 
 def open_run_graph(folder: Path | str) -> RunGraph:
@@ -187,7 +243,10 @@ def open_run_graph(folder: Path | str) -> RunGraph:
                 folder / "graph.npz", f"does not hold the {len(store)} keyframes of the run; run it again"
             )
         T, fixes = np.ascontiguousarray(values.at(keys).matrix[:, :4, :4]), kept_fixes(graph, values)
-    return RunGraph(folder=folder, config=config, facts=facts, store=store, ledger=ledger, T_map_imu=T, fixes=fixes)
+    edits = read_edits(folder / EDITS) if (folder / EDITS).is_file() else RunEdits()
+    return RunGraph(
+        folder=folder, config=config, facts=facts, store=store, ledger=ledger, T_map_imu=T, fixes=fixes, edits=edits
+    )
 
 
 def _held(graph: Mapping[str, Any]) -> bool:

@@ -145,6 +145,12 @@ def localized_lines(facts: dict[str, Any], folder: Path) -> list[str]:
         f"{facts['queries']} queries of {facts['submaps']} submaps, {query['mean']:.0f} ms on average, at most "
         f"{query['max']:.0f}{tracking}, {facts['odometry_ms']:.1f} ms of odometry"
     )
+    changes = facts["changes"]
+    if changes["gone_points"] + changes["new_points"]:
+        lines.append(
+            f"changed since the map was made: {changes['gone_points']} points are gone, {changes['new_points']} new: "
+            "changes.ply"
+        )
     lines.append(f"written to {folder}: {', '.join(facts['files'])}")
     lines.append(f"status: {facts['status']}" + "".join(f"; {reason}" for reason in facts["reasons"]))
     return lines

@@ -17,6 +17,7 @@ from heliograph.cli import (
     check,
     compare,
     demo,
+    edit,
     evaluate,
     info,
     lab,
@@ -57,6 +58,7 @@ app.command(
     "localize", cls=PluggableCommand, short_help="A recording in a saved map: where it is, or that it is not known."
 )(localize.localize)
 app.command("loops", short_help="A run's loops: list, explain, revoke, add by hand.")(loops.loops)
+app.command("edit", short_help="A plan of edits applied to a run: boxes, loops, sessions.")(edit.edit)
 app.command("merge", short_help="Several runs in one map, from their folders.")(merge.merge)
 app.command("survey", short_help="A run in a coordinate system, tied to control points.")(survey.survey)
 app.command("compare", short_help="Runs side by side: distances, maps, loops, settings that differ.")(compare.compare)

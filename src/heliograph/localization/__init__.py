@@ -1,5 +1,6 @@
 """Localisation: a saved map as the fixed part of the estimate."""
 
+from heliograph.localization.changes import Changes, ChangeWatch, SubmapChange
 from heliograph.localization.localizer import Localizer, decide
 from heliograph.localization.open_map import open_map
 from heliograph.localization.records import Localization, LocalizationState
@@ -7,6 +8,8 @@ from heliograph.localization.saved_map import SavedMap, SavedSubmap, map_of_keyf
 from heliograph.localization.search import MapPlace, Query, search, weigh
 
 __all__ = [
+    "ChangeWatch",
+    "Changes",
     "Localization",
     "LocalizationState",
     "Localizer",
@@ -14,6 +17,7 @@ __all__ = [
     "Query",
     "SavedMap",
     "SavedSubmap",
+    "SubmapChange",
     "decide",
     "map_of_keyframes",
     "map_of_points",

@@ -11,8 +11,10 @@ import numpy as np
 
 from heliograph.atomic import check_output_directory, output_errors, write_text
 from heliograph.data import ScanResult
+from heliograph.io.files.clouds import write_cloud
 from heliograph.io.files.tum import TumWriter
 from heliograph.lie import so3
+from heliograph.localization.changes import Changes
 from heliograph.localization.localizer import Localizer
 from heliograph.localization.records import Localization, LocalizationState
 from heliograph.output.lock import FolderLock
@@ -32,7 +34,7 @@ COLUMNS = (
 )  # fmt: skip
 """Columns of ``localization.csv``: x to qw are ``T_map_odom``, the sigmas those of ``T_map_imu``."""
 
-_FILES = ("trajectory.tum", "odometry.tum", "localization.csv", "config.toml", "run.json")
+_FILES = ("trajectory.tum", "odometry.tum", "localization.csv", "changes.ply", "config.toml", "run.json")
 _MOSTLY = 0.9  # share of the scans after the first lock that must be localised in a result that is well
 
 
@@ -109,16 +111,26 @@ class LocalizationFolder(Sink):
         """Complete the files."""
         self._release()
         events = fold_events((*summary.events, *self.localizer.events))
+        changes = self.localizer.changes.changes()
+        if len(changes.gone) + len(changes.new):
+            points = np.ascontiguousarray(np.concatenate([changes.gone, changes.new]))
+            write_cloud(
+                self.path / "changes.ply",
+                points,
+                np.repeat([0.0, 1.0], [len(changes.gone), len(changes.new)]).astype(np.float32),
+            )
+        files = [name for name in _FILES if name == "run.json" or (self.path / name).exists()]
         self.facts = {
             "schema": LOCALIZATION_SCHEMA,
             **self._spans.facts(self.localizer, summary),
+            "changes": _change_facts(changes),
             "warnings": [
                 {"code": e.code, "severity": e.severity, "message": e.message, "count": e.count} for e in events
             ],
             **self._facts(),
             "folder": str(self.path),
-            "files": list(_FILES),
-            "outputs": hashed_files(self.path / name for name in _FILES if name != "run.json"),
+            "files": files,
+            "outputs": hashed_files(self.path / name for name in files if name != "run.json"),
         }
         write_text(self.path / "run.json", json.dumps(self.facts, indent=2, allow_nan=False) + "\n")
         self._lock.release()
@@ -191,6 +203,17 @@ class _Spans:
         if share < _MOSTLY:
             return "degraded", [f"only {share:.0%} of the scans after the first lock are localised"]
         return "ok", []
+
+
+def _change_facts(changes: Changes) -> dict[str, Any]:
+    return {
+        "gone_points": len(changes.gone),
+        "new_points": len(changes.new),
+        "submaps": [
+            {"submap": s.index, "position": s.position.tolist(), "looked_at": s.looked_at, "gone_share": s.gone}
+            for s in changes.submaps
+        ],
+    }
 
 
 def _row(found: Localization) -> str:

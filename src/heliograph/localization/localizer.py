@@ -13,6 +13,7 @@ from heliograph.config import LocalizationConfig, RunConfig
 from heliograph.data import Event, ScanResult
 from heliograph.errors import DataError
 from heliograph.lie import se3
+from heliograph.localization.changes import ChangeWatch
 from heliograph.localization.recent_scans import RecentScans, level_frame
 from heliograph.localization.records import Localization, LocalizationState
 from heliograph.localization.saved_map import SavedMap
@@ -66,6 +67,8 @@ class Localizer:
     ) -> None:
         self.saved, self._config, self._threads = saved, config or RunConfig(), threads
         self.events: list[Event] = []
+        self.changes = ChangeWatch(saved)
+        """What has changed since the map was made, as far as scans have looked while localised."""
         self.queries: list[float] = []
         """Seconds of each global search."""
         self._recent = RecentScans(self._config.localization)
@@ -199,6 +202,7 @@ class Localizer:
         place = weigh(query, self.saved.nearest(T), T, self.saved, told, moves=False)
         assert place is not None
         self._seen_through = place.seen_through
+        self.changes.look(T_map_odom @ result.T_odom_imu, scan.latest)
         self._refuted = self._refuted + 1 if place.explained < told.max_unexplained * told.min_explained else 0
         if place.explained >= _USUAL_PART * self._usual:
             self._usual = max(self._usual, place.explained)

@@ -45,9 +45,16 @@ def open_map(path: Path | str, config: RunConfig | None = None) -> SavedMap:
     if path.is_dir():
         run = open_run_graph(path)
         _check_level(run)
-        clouds = [run.store.points(index) for index in range(len(run.store))]
+        there = [index for index in range(len(run.store)) if not run.dropped(index)]
+        clouds = [run.points(index) for index in there]
+        known = _covariances(run)
         return map_of_keyframes(
-            clouds, run.T_map_imu, _covariances(run), config=config.localization, places=config.places, maps=config.map
+            clouds,
+            np.ascontiguousarray(run.T_map_imu[there]),
+            None if known is None else lambda index: known(there[index]),
+            config=config.localization,
+            places=config.places,
+            maps=config.map,
         )
     if not path.exists():
         raise FormatError(path, "is not there; give --map the folder of a run, or a cloud")
@@ -71,7 +78,7 @@ def _covariances(run: RunGraph) -> Callable[[int], Array] | None:
         return None
 
     def relative(index: int) -> Array:
-        if index == first:
+        if index <= first:  # its points are what the first matched one was matched to
             return np.zeros((6, 6))
         joint = marginals.joint(X(np.array([first, index])))
         d = len(joint) // 2

@@ -64,6 +64,11 @@ class RecentScans:
         while self._way - self._kept[0].way > self._config.before:
             self._kept.popleft()
 
+    @property
+    def latest(self) -> Points:
+        """The last scan's points, thinned (N, 3), imu frame [m]."""
+        return self._kept[-1].points_imu
+
     def due(self, result: ScanResult) -> bool:
         """Whether it is time for a query; it then counts as asked."""
         if self._asked is not None:

@@ -73,17 +73,20 @@ class SavedMap:
             points = submap.cloud.points
             self.detector.add(index, self.detector.describe(thinned(points)))
         self._positions = np.stack([s.T_map_submap[:3, 3] for s in self.submaps])
+        self._headings = np.stack([s.T_map_submap[:3, 0] for s in self.submaps])
 
     def __len__(self) -> int:
         return len(self.submaps)
 
     def nearest(self, T_map_imu: Array) -> SavedSubmap:
+        """Return the submap of `nearest_index`."""
+        return self.submaps[self.nearest_index(T_map_imu)]
+
+    def nearest_index(self, T_map_imu: Array) -> int:
         """Return the submap whose middle is nearest to a pose; of two as near the one that looks the same way."""
         off = self._positions - T_map_imu[:3, 3]
         near = np.linalg.norm(off * [1.0, 1.0, 3.0], axis=1)
-        forward = T_map_imu[:3, 0]
-        turned = np.array([1.0 - s.T_map_submap[:3, 0] @ forward for s in self.submaps])
-        return self.submaps[int(np.argmin(near + turned))]
+        return int(np.argmin(near + 1.0 - self._headings @ T_map_imu[:3, 0]))
 
 
 def thinned(points: Points) -> Points:

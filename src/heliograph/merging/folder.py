@@ -11,6 +11,8 @@ import numpy as np
 
 from heliograph.atomic import check_output_directory, write_text
 from heliograph.config_toml import dump_config
+from heliograph.editing import UNEDITED
+from heliograph.edits import EDITS
 from heliograph.io.files.tum import TumWriter
 from heliograph.merging.merge import MergedRuns, merge_runs, session_facts
 from heliograph.merging.sessions import RunSession
@@ -49,6 +51,8 @@ def merge_into(sessions: Sequence[RunSession], path: Path, *, overwrite: bool = 
     created = not path.exists()
     check_output_directory(path, overwrite)
     lock = FolderLock(path)
+    for name in (EDITS, UNEDITED):  # of what was here before
+        (path / name).unlink(missing_ok=True)
     try:
         merged = merge_runs(sessions, path / KEYFRAMES)
         return _written(merged, sessions, path)

@@ -44,7 +44,7 @@ class RunSession:
 
     def points(self, index: int) -> Points:
         """Return a keyframe's cloud (N, 3) float32, imu frame [m]."""
-        return self.run.store.points(index)
+        return self.run.points(index)
 
     def T_odom_imu(self, index: int) -> Array:
         """Return a keyframe's pose (4, 4) as the run's own graph has it."""

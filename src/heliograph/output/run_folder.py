@@ -41,9 +41,22 @@ SUBMAPS = "submaps.bin"
 _Block: TypeAlias = tuple[MapBounds, MapPoints]
 _GRAPH = ("loops.csv", "gnss.csv", "graph.g2o", "graph.npz")
 _KEYFRAMES = "keyframes"
+_EDITS = ("edits.toml", "loops_unedited.csv")  # of the run that was here before
 _GROWING = (*FILES, SUBMAPS, "scans.csv")
 _MADE_AT_THE_END = (*_MAPS, *_GRAPH, "map.png", "map.pgw", "report.html")
-_OWN = (*FILES, *_MAPS, *_GRAPH, SUBMAPS, "map.png", "map.pgw", "scans.csv", "report.html", "config.toml", "run.json")
+_OWN = (
+    *FILES,
+    *_MAPS,
+    *_GRAPH,
+    *_EDITS,
+    SUBMAPS,
+    "map.png",
+    "map.pgw",
+    "scans.csv",
+    "report.html",
+    "config.toml",
+    "run.json",
+)
 
 
 _STATE = {
