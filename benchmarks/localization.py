@@ -180,7 +180,7 @@ def _hku(data: Path) -> _Set:
 
 
 def _part(keyframes: KeyframeSet, share: float) -> _Set:
-    return _Set(keyframes=keyframes, cut=int(share * len(keyframes)), seconds=0.8, patience=20.0)
+    return _Set(keyframes=keyframes, cut=int(share * len(keyframes)), seconds=0.8, patience=12.0)
 
 
 SETS = {

@@ -47,6 +47,12 @@ def test_run_from_python_tracks_every_scan(tmp_path, short_recording):
     assert len((tmp_path / "out.tum").read_text().splitlines()) == scans + 1
 
 
+def test_localize_in_map_finds_the_robot_in_the_third_query():
+    text = _run("localize_in_map.py")
+    assert text.count(": localised") == 6
+    assert max(_numbers(r"([\d.]+) mm off", text)) < 20.0
+
+
 def test_side_by_side_favours_both_sensors(tmp_path):
     text = _run("side_by_side.py", tmp_path / "figure.png", 8)
     lidar, imu, both = _numbers(r"at most ([\d.]+) m", text)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
+import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +19,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["localize", "localized_lines", "start_pose"]
+    from heliograph.config import RunConfig
+
+__all__ = ["check_extension", "extend_map", "localize", "localized_lines", "start_pose"]
 
 
 def localize(
@@ -31,6 +35,10 @@ def localize(
     start_at: Annotated[
         str | None,
         typer.Option("--start-pose", metavar="X,Y,Z,YAW", help="Where it begins in the map: metres, degrees."),
+    ] = None,
+    extend: Annotated[
+        Path | None,
+        typer.Option("--extend", metavar="DIR", help="Write the map with this recording's keyframes in it to DIR."),
     ] = None,
     overwrite: options.Overwrite = False,
     reader: options.Reader = None,
@@ -69,14 +77,17 @@ def localize(
         settings,
         run={"odometry": odometry, "threads": threads},
         input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration, reader),
-        slam={"graph": False},
+        slam={"graph": extend is not None},
     )
+    check_extension(saved_map, extend, output)
     T_start = None if start_at is None else start_pose(start_at)
     began = time.perf_counter()
     saved = open_map(saved_map, resolved)
     opening = time.perf_counter() - began
     name = recordings[0].resolve().stem
-    with interruptible() as stop, open_recording(recordings, resolved.input, sensors=resolved.sensors) as recording:
+    with ExitStack() as stack:
+        stop = stack.enter_context(interruptible())
+        recording = stack.enter_context(open_recording(recordings, resolved.input, sensors=resolved.sensors))
         if "lidar" not in pipeline.sensors_in_use(recording, resolved):
             raise DataError("a map is matched with scans, and the recording holds no LiDAR; name its topic")
         cores = pipeline.thread_count(resolved)
@@ -97,10 +108,39 @@ def localize(
             name=name, config=dump_config(resolved), facts=facts, overwrite=overwrite,
         )  # fmt: skip
         bar = [] if quiet else [ProgressSink(recording.total_scans, name)]
-        pipeline.run(recording, resolved, sinks=[*bar, folder], stop=stop)
-    _print(folder.facts, folder.path, json=json, quiet=quiet)
+        keyframes = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="heliograph_"))) if extend else None
+        pipeline.run(recording, resolved, sinks=[*bar, folder], stop=stop, folder=keyframes)
+        _print(folder.facts, folder.path, json=json, quiet=quiet)
+        if extend is not None and keyframes is not None:
+            extend_map(saved_map, keyframes, name, resolved, extend, overwrite=overwrite, quiet=json or quiet)
     if folder.facts["interrupted"] and stop.code:
         raise typer.Exit(stop.code)
+
+
+def check_extension(saved_map: Path, extend: Path | None, output: Path | None) -> None:
+    """Raise `ConfigError` where a map cannot be extended, before an hour's work is done."""
+    from heliograph.errors import ConfigError
+
+    if extend is None:
+        return
+    if not saved_map.is_dir():
+        raise ConfigError(f"--extend adds keyframes to those of a run, and {saved_map} is a cloud; give a run's folder")
+    if extend.resolve() in (saved_map.resolve(), None if output is None else output.resolve()):
+        raise ConfigError(f"--extend {extend} is the map itself or the output; the map is left as it is: name another")
+
+
+def extend_map(
+    saved_map: Path, keyframes: Path, name: str, config: RunConfig, to: Path, *, overwrite: bool, quiet: bool
+) -> None:
+    """Merge a recording's keyframes into a copy of the map's."""
+    from heliograph.cli.merge import merged_lines
+    from heliograph.merging import open_session, session_of_keyframes
+    from heliograph.merging.folder import merge_into
+
+    sessions = [open_session(saved_map), session_of_keyframes(keyframes, name, config)]
+    facts = merge_into(sessions, to, overwrite=overwrite)
+    if not quiet:
+        typer.echo("\n".join(merged_lines(facts, to)))
 
 
 def start_pose(text: str) -> NDArray[np.float64]:

@@ -31,9 +31,10 @@ class LocalizationConfig:
         Way between two queries [m].
     every_s : float
         Longest time between them [s].
-    placed, tried, refined : int
-        Guesses that the detector places; those of them that are aligned coarsely; and those, the best, that are aligned
-        to the end.
+    placed, tried : int
+        Guesses that the detector places, and those of them, the most promising, that are aligned.
+    max_rivals : int
+        Rivals beyond which a search ends: the place is ambiguous whatever else there is.
     voxel, levels : float, int
         Finest cubes of the alignment [m], and number of levels.
     same, same_deg : float
@@ -77,7 +78,7 @@ class LocalizationConfig:
     every_s: float = 1.0
     placed: int = 24
     tried: int = 16
-    refined: int = 6
+    max_rivals: int = 3
     voxel: float = 0.25
     levels: int = 4
     same: float = 0.5
@@ -100,7 +101,7 @@ class LocalizationConfig:
 
     def __post_init__(self) -> None:
         check_range(self, "spacing", "reach", "reach_up", "tile", "view", "before", "every", "every_s", above=0.0)
-        check_range(self, "members", "placed", "tried", "refined", "agreeing", "lost_scans", low=1)
+        check_range(self, "members", "placed", "tried", "max_rivals", "agreeing", "lost_scans", low=1)
         check_range(self, "levels", low=1, high=8)
         check_range(self, "voxel", "same", "same_deg", "rotation_walk_deg", "position_walk", above=0.0)
         check_range(self, "min_explained", "min_confirmed", "max_seen_through", "matched_share", low=0.0, high=1.0)

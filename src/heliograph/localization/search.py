@@ -224,4 +224,4 @@ def _ambiguous(found: Sequence[MapPlace], config: LocalizationConfig) -> bool:
     """Whether enough places explain the query alike."""
     best = max((place.score for place in found), default=0.0)
     standing = [place for place in found if place.stands(config)]
-    return sum(place.score >= config.rival * best for place in standing) > config.refined
+    return sum(place.score >= config.rival * best for place in standing) > config.max_rivals

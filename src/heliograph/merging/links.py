@@ -28,6 +28,7 @@ from heliograph.slam.loops.verify import window_end, with_blur
 __all__ = ["Link", "find_links"]
 
 _EVERY = 3  # keyframes from query to query
+_QUERIES = 12  # queries of a short run, where it has as many keyframes
 _CLIQUE = 4  # links of two runs that must agree with each other
 _SPAN = 5.0  # way that their queries must cover [m]
 _TURN = 3.0  # sigma of a heading of which nothing is known [rad]
@@ -55,10 +56,10 @@ class Link:
 def find_links(there: RunSession, here: RunSession) -> tuple[Link, ...]:
     """Return what may link two runs, with the decision about each.
 
-    Every third keyframe of the run ``here``, with the scans of the metres before it, is looked for in the map of
-    ``there``. One that several places fit alike links nothing. What is found is registered by local maps as a loop is,
-    and judged by what a loop is judged by, but for odometry, which knows nothing of another run. Links are believed
-    together: a set that agrees pair by pair (over the ways in both runs), is large enough, covers enough way, and is
+    Every third keyframe of the run ``here``, more of a short one, with the scans of the metres before it, is looked for
+    in the map of ``there``. One that several places fit alike links nothing. What is found is registered by local maps
+    as a loop is, and judged by what a loop is judged by, but for odometry, which knows nothing of another run. Links
+    are believed together: a set that agrees pair by pair (over the ways in both runs), is large enough, covers enough way, and is
     larger by as much than any set that contradicts it.
 
     Parameters
@@ -67,7 +68,8 @@ def find_links(there: RunSession, here: RunSession) -> tuple[Link, ...]:
         Match and query.
     """
     config = _loop_config(here.run.config.loops)
-    found = [e for k in range(0, len(here), _EVERY) if (e := _linked(there, here, k, config)) is not None]
+    every = max(1, min(_EVERY, len(here) // _QUERIES))
+    found = [e for k in range(0, len(here), every) if (e := _linked(there, here, k, config)) is not None]
     loops: list[LoopEvidence] = []
     decisions: list[LoopDecision] = []
     refused: list[Link] = []

@@ -7,14 +7,20 @@ from pathlib import Path
 import numpy as np
 
 from heliograph.arrays import Array, Points
+from heliograph.config import RunConfig
+from heliograph.errors import FormatError
+from heliograph.factors import SENSOR_FACTORS
+from heliograph.graph import Symbol, load_graph
 from heliograph.lie import se3
 from heliograph.localization import SavedMap, map_of_keyframes
 from heliograph.localization.recent_scans import level_frame
 from heliograph.maps import transformed
 from heliograph.revision import RunGraph, open_run_graph
+from heliograph.slam import KEYFRAMES, KeyframeStore
 from heliograph.slam.covariances import OdometryChain
+from heliograph.slam.loops import read_ledger
 
-__all__ = ["RunSession", "open_session"]
+__all__ = ["RunSession", "open_session", "session_of_keyframes"]
 
 
 class RunSession:
@@ -92,3 +98,28 @@ def open_session(folder: Path | str) -> RunSession:
     """
     folder = Path(folder)
     return RunSession(open_run_graph(folder), folder.name or str(folder))
+
+
+def session_of_keyframes(folder: Path, name: str, config: RunConfig) -> RunSession:
+    """Open what a back-end left in a folder that is not one of a run: keyframes, ledger and graph.
+
+    Parameters
+    ----------
+    folder : Path
+    name : str
+        How the session is called.
+    config : RunConfig
+
+    Raises
+    ------
+    FormatError
+        A file of it is missing or damaged, or there is no keyframe.
+    """
+    store = KeyframeStore.open(folder / KEYFRAMES)
+    if not len(store):
+        raise FormatError(folder / KEYFRAMES, "holds no keyframe: no scan was matched, so there is nothing to add")
+    ledger = read_ledger(folder / "loops.csv", config.loops)
+    _, values = load_graph(folder / "graph.npz", factors=SENSOR_FACTORS)
+    T = np.ascontiguousarray(values.at(Symbol("X")(np.arange(len(store)))).matrix[:, :4, :4])
+    run = RunGraph(folder=folder, config=config, facts={}, store=store, ledger=ledger, T_map_imu=T)
+    return RunSession(run, name)

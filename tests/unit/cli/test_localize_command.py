@@ -124,3 +124,21 @@ def test_localize_says_what_a_map_is(call, second, tmp_path, name, words):
         (tmp_path / name).write_text("x")
     code, _, errors = call(*localize(second, tmp_path / name))
     assert code == 2 and words in errors and len(errors.splitlines()) == 1
+
+
+def test_localize_extends_a_copy_of_the_map(call, run, second, tmp_path):
+    before = {path: path.read_bytes() for path in sorted((run / "keyframes").iterdir())}
+    code, out, _ = call(
+        *localize(second, run, "-o", "there", "--extend", "wider", "--set", "slam.keyframe_distance=0.5")
+    )
+    assert code == 0 and "48 keyframes in one map" in out
+    facts = json.loads((tmp_path / "wider" / "run.json").read_text())
+    assert [session["linked"] for session in facts["sessions"]] == [True, True]
+    assert {path: path.read_bytes() for path in sorted((run / "keyframes").iterdir())} == before
+
+
+def test_localize_extends_no_cloud_and_not_the_map_itself(call, run, second, tmp_path):
+    write_cloud(tmp_path / "map.ply", np.zeros((10, 3), np.float32))
+    for saved_map, to in ((tmp_path / "map.ply", "wider"), (run, run)):
+        code, _, errors = call(*localize(second, saved_map, "--extend", to))
+        assert code == 2 and "--extend" in errors and len(errors.splitlines()) == 1
