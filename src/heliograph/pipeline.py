@@ -157,6 +157,8 @@ def attempt(
             return account
         account.tally.add_events((*unsolved(recording.events, found), *odometry.events, *slam.events))
         account.conclude(sensors, odometry, slam, config)  # 6. how good is it, and where has it been after all
+        if sensors == {"lidar", "imu"}:
+            account.summary = replace(account.summary, rig=rig)
     return account
 
 

@@ -46,6 +46,7 @@ class RunWatch(Stateful):
         "_seen": int,
         "_degenerate": int,
         "_disputed": int,
+        "_pieces": int,
         "_last_bias": array(np.float64, 6),
         "_rms": float,
     }

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from heliograph.checks import VERDICT_WORDS, Finding
-from heliograph.data import GraphAccount, SensorRepair, StartAccount
+from heliograph.data import GraphAccount, Rig, SensorRepair, StartAccount
 from heliograph.output.blind_spans import BlindSpan
 from heliograph.output.georeference import gnss_facts
 from heliograph.output.level import Level
@@ -121,6 +121,7 @@ def final_facts(
         "warnings": [asdict(event) for event in summary.events],
         "timings": _timings(summary, writer_seconds, closing_seconds),
         "peak_memory_mb": peak_memory_mb(),
+        **({"mounting": _mounting(summary.rig)} if summary.rig is not None else {}),
         "map_points": record.map_points,
         "map_points_moving": record.moving_points,
         "T_map_odom": summary.T_map_odom.tolist(),
@@ -167,6 +168,17 @@ def _repair(repair: SensorRepair) -> dict[str, Any]:
     if rig is not None:
         account["T_imu_lidar"] = rig.T_imu_lidar.tolist()
     return account
+
+
+def _mounting(rig: Rig) -> dict[str, Any]:
+    """Return the mounting that a run used, as `--extrinsic` takes it from there."""
+    return {
+        "T_imu_lidar": rig.T_imu_lidar.tolist(),
+        "source": rig.source,
+        "known": rig.known,
+        "sigma_rotation_deg": float(np.degrees(rig.sigma_rotation)),
+        "sigma_lever_m": rig.sigma_translation,
+    }
 
 
 def _blind(span: BlindSpan) -> dict[str, Any]:

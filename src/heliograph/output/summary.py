@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
 from heliograph.checks import Finding
-from heliograph.data import Event, GraphAccount, ScanResult, SensorRepair, StartAccount
+from heliograph.data import Event, GraphAccount, Rig, ScanResult, SensorRepair, StartAccount
 from heliograph.data.error_layout import GRAVITY
 from heliograph.output.blind_spans import BlindSpan, BlindSpans
 from heliograph.output.final_poses import FinalPoses
@@ -87,6 +87,8 @@ class RunSummary:
         The six verdicts of the checks inside the run.
     repairs : tuple of SensorRepair
         What was mended before the run.
+    rig : Rig or None
+        Mounting and clock that the run used; None where it has only one sensor.
     resumed : tuple of int
         Scans that were done each time that the run was resumed after it had been cut off.
     """
@@ -116,6 +118,7 @@ class RunSummary:
     failure: str = ""
     findings: tuple[Finding, ...] = ()
     repairs: tuple[SensorRepair, ...] = ()
+    rig: Rig | None = None
     resumed: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:

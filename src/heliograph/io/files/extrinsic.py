@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -36,7 +37,8 @@ _MAX_DRIFT_PPM = 1e4
 def read_extrinsic(path: Path | str) -> Rig:
     """Read ``T_imu_lidar`` (``p_imu = T_imu_lidar @ p_lidar``) from a TOML file, or another system's YAML.
 
-    A ``.yaml`` is read as parameters of FAST-LIO2 or LIO-SAM, see `read_params_yaml`. The TOML holds, in a table
+    A ``.yaml`` is read as parameters of FAST-LIO2 or LIO-SAM, see `read_params_yaml`; of a run's ``run.json`` the
+    mounting that it used is taken, and not its clock, which was that recording's. The TOML holds, in a table
     ``[T_imu_lidar]`` or at its top, either ``matrix`` (4x4), or ``translation`` (metres) together with ``rotation``
     (3x3 by rows, or a quaternion xyzw) or ``quaternion_xyzw``. A table ``[clock]`` may hold ``offset`` (seconds),
     ``drift_ppm`` and ``reference_ns``, see `ImuClock`; a table ``[calibration]`` is not read.
@@ -62,6 +64,10 @@ def read_extrinsic(path: Path | str) -> Rig:
         T_imu_lidar, offset = read_params_yaml(path)
         T_imu_lidar[:3, :3] = _orthonormal(path, T_imu_lidar[:3, :3])
         return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path}", clock=ImuClock(offset=offset))
+    if path.suffix.lower() == ".json":
+        T_imu_lidar = _numbers(path, _mounting_of_run(path), _TABLE, (4, 4))
+        T_imu_lidar[:3, :3] = _orthonormal(path, T_imu_lidar[:3, :3])
+        return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path}")
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -95,6 +101,22 @@ def read_extrinsic(path: Path | str) -> Rig:
         T_imu_lidar[:3, :3] = _rotation(path, table, given[0])
     T_imu_lidar[:3, :3] = _orthonormal(path, T_imu_lidar[:3, :3])
     return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path}", clock=clock)
+
+
+def _mounting_of_run(path: Path) -> dict[str, Any]:
+    """Return the mounting in a run's account."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        mounting = found["mounting"]
+        return {_TABLE: mounting[_TABLE]}
+    except OSError as error:
+        raise ConfigError(f"extrinsic {path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"extrinsic {path}: is not JSON: {error}") from error
+    except (KeyError, TypeError) as error:
+        raise ConfigError(
+            f"extrinsic {path}: holds no mounting; name the run.json of a run with LiDAR and IMU, or a TOML file"
+        ) from error
 
 
 def write_extrinsic(path: Path | str, rig: Rig, notes: Mapping[str, Any], *, header: str = "") -> None:

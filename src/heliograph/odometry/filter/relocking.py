@@ -62,6 +62,7 @@ class Relocker(Stateful):
         "_count": int,
         "_last_ns": int,
         "_events": [Event],
+        "_vain": [int],
         "_remembered": (fixed(array(np.float32, None, 3), array(np.float64, 4, 4)), None),
     }
 

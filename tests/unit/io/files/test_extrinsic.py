@@ -1,5 +1,7 @@
 """The user's extrinsic file: every accepted form, and one line for every mistake."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -68,6 +70,21 @@ def test_extrinsic_mistakes_are_one_line(tmp_path, text, message):
     with pytest.raises(ConfigError, match=message) as caught:
         read_extrinsic(tmp_path / "e.toml")
     assert "e.toml" in str(caught.value)
+
+
+def test_extrinsic_is_taken_from_an_earlier_runs_account(tmp_path):
+    T = [[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]]
+    path = tmp_path / "run.json"
+    path.write_text(json.dumps({"status": "ok", "mounting": {"T_imu_lidar": T, "source": "aligned"}}))
+    np.testing.assert_array_equal(read_extrinsic(path).T_imu_lidar, T)
+    for text, message in (
+        ("{}", "holds no mounting"),
+        ("{", "is not JSON"),
+        ('{"mounting": {"T_imu_lidar": 1}}', "4x4"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=message):
+            read_extrinsic(path)
 
 
 def test_extrinsic_that_is_missing_is_a_config_error(tmp_path):
