@@ -59,8 +59,8 @@ def find_links(there: RunSession, here: RunSession) -> tuple[Link, ...]:
     Every third keyframe of the run ``here``, more of a short one, with the scans of the metres before it, is looked for
     in the map of ``there``. One that several places fit alike links nothing. What is found is registered by local maps
     as a loop is, and judged by what a loop is judged by, but for odometry, which knows nothing of another run. Links
-    are believed together: a set that agrees pair by pair (over the ways in both runs), is large enough, covers enough way, and is
-    larger by as much than any set that contradicts it.
+    are believed together: a set that agrees pair by pair (over the ways in both runs), is large enough, covers enough
+    way, and is larger by as much than any set that contradicts it.
 
     Parameters
     ----------
