@@ -25,6 +25,7 @@ _KERNEL = 0.1  # residual at which a match counts a quarter [m]
 _CELL = math.radians(2.0)  # of directions, in which a query has seen what is between its nearest and farthest return
 _APART, _APART_DEG = 1.5, 12.0  # guesses nearer than this lead to the same place [m], [deg]
 _PROMISING = 0.75  # share of the best guess's coarse overlap below which a guess is not followed
+_SPARED = 0.9  # margin below a rival within which a place is aligned to the end all the same
 _WORTH = 0.8  # share of what a place must explain at which it is aligned to the end
 _COARSE = 2  # level at which guesses are compared
 
@@ -122,13 +123,13 @@ def search(
     """
     found: list[MapPlace] = []
     for T in known:
-        _take(found, weigh(query, saved.nearest(T), T, saved, config), config)
+        _take(found, weigh(query, saved.nearest(T), T, saved, config, worth=_least(found, config)), config)
     best = 0.0
     for count, (promise, submap, T) in enumerate(_guesses(query, saved, config)):
         best = max(best, promise)
         if promise < _PROMISING * best or count >= config.tried or _ambiguous(found, config):
             break
-        _take(found, weigh(query, submap, T, saved, config), config)
+        _take(found, weigh(query, submap, T, saved, config, worth=_least(found, config)), config)
     return tuple(sorted(found, key=lambda place: -place.score))
 
 
@@ -140,6 +141,7 @@ def weigh(
     config: LocalizationConfig,
     *,
     moves: bool = True,
+    worth: float = 0.0,
 ) -> MapPlace | None:
     """Align a query from a guess and return what tells for the place; None where there is no pose.
 
@@ -153,13 +155,15 @@ def weigh(
     config : LocalizationConfig
     moves : bool
         Without it the guess is weighed where it is, and nothing is said of its covariance.
+    worth : float
+        Share explained below which a place is not aligned to the end: it is nobody's rival.
     """
     T = np.ascontiguousarray(se3.inverse(submap.T_map_submap) @ T_map_level)
     settings = submap.cloud.config
     covariance, held = np.zeros((6, 6)), False
     if moves:
         T = np.ascontiguousarray(fit_levels(submap.cloud, query.cloud, T, "gicp", settings, 1).T)
-        if _explained(query, submap, T, saved) >= _WORTH * config.min_explained:  # else it is refused in any case
+        if _explained(query, submap, T, saved) >= max(worth, _WORTH * config.min_explained):
             result = align(submap.cloud, query.cloud, start=T, config=settings)
             if result.T_target_source is None or result.covariance is None:
                 return None
@@ -218,6 +222,11 @@ def _take(found: list[MapPlace], place: MapPlace | None, config: LocalizationCon
         found.append(place)
     elif place.score > found[same[0]].score:
         found[same[0]] = place
+
+
+def _least(found: Sequence[MapPlace], config: LocalizationConfig) -> float:
+    """Return what a place must explain at least to be a rival of the best so far."""
+    return _SPARED * config.rival * max((place.score for place in found if place.stands(config)), default=0.0)
 
 
 def _ambiguous(found: Sequence[MapPlace], config: LocalizationConfig) -> bool:
