@@ -16,16 +16,22 @@ __all__ = ["ClockFollower"]
 
 _JUMP_NS = 800_000_000  # of a stamp against the times of reception that no queue explains [ns]
 _ALIKE_NS = 20_000_000  # by which two sensors may show the same step differently [ns]
+_KNOWN = 8  # messages after which the least delay of a topic is known
 _LASTING = 3  # messages in a row that make a jump a step of the clock
 
 
 @dataclass(slots=True)
 class _Topic:
-    """Where one topic's clock is: its last stamp and time of reception as corrected, and by how much it was set."""
+    """Where one topic's clock is: its last stamp and time of reception as corrected, and by how much it was set.
+
+    The least time from stamp to reception tells a clock that was set forwards from messages that a queue has lost.
+    """
 
     period_ns: int
     stamp_ns: int
     received_ns: int
+    least_lag_ns: int
+    passed: int = 1
     shift_ns: int = 0
     held: list[RawCloud | RawImu] = field(default_factory=list)
 
@@ -58,7 +64,8 @@ class ClockFollower:
                 message = replace(message, received_ns=received)
             topic = self._topics.get(message.topic)
             if topic is None:
-                self._topics[message.topic] = _Topic(self._periods[message.topic], message.stamp_ns, received)
+                lag_ns = received - message.stamp_ns
+                self._topics[message.topic] = _Topic(self._periods[message.topic], message.stamp_ns, received, lag_ns)
                 yield message
             elif self._jumps(topic, message):
                 yield from self._hold(topic, message)
@@ -94,7 +101,11 @@ class ClockFollower:
 
     def _jumps(self, topic: _Topic, message: RawCloud | RawImu) -> bool:
         step = message.stamp_ns + topic.shift_ns - topic.stamp_ns
-        return abs(step - (message.received_ns - topic.received_ns)) > _JUMP_NS and not 0 < step < 2 * _JUMP_NS
+        if abs(step - (message.received_ns - topic.received_ns)) <= _JUMP_NS:
+            return False
+        lag_ns = message.received_ns - message.stamp_ns - topic.shift_ns
+        early = topic.passed >= _KNOWN and lag_ns < topic.least_lag_ns - _JUMP_NS // 2
+        return early or not 0 < step < 2 * _JUMP_NS
 
     def _hold(self, topic: _Topic, message: RawCloud | RawImu) -> Iterator[RawMessage]:
         """Hold a message that jumped; when enough follow it alike, the clock was set, and they are passed on."""
@@ -123,4 +134,6 @@ class ClockFollower:
         # A message that is a little late does not turn the topic's clock back.
         topic.stamp_ns = max(topic.stamp_ns, message.stamp_ns)
         topic.received_ns = max(topic.received_ns, message.received_ns)
+        topic.passed += 1
+        topic.least_lag_ns = min(topic.least_lag_ns, message.received_ns - message.stamp_ns)
         return message

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,7 +57,7 @@ def test_one_message_an_hour_off_is_left_out(topic, off):
     assert all(np.diff(stamps[topic]) > 0)
 
 
-@pytest.mark.parametrize("step", [-2_003_700_000, -30_000_000_000, 60_000_000_000, 3_600_000_000_000])
+@pytest.mark.parametrize("step", [-2_003_700_000, -30_000_000_000, 1_000_000_000, 60_000_000_000, 3_600_000_000_000])
 def test_a_clock_that_is_set_is_followed_by_both_sensors(step):
     stamps, events = follow(recorded(lambda _, ns: (ns + step if ns >= 1_000_000_000 else ns, ns)))
     assert [event.code for event in events] == ["clock-step"] * 2
@@ -86,3 +88,12 @@ def test_a_pause_is_no_step():
 def test_messages_held_up_in_a_queue_are_no_step():
     _, events = follow(recorded(lambda _, ns: (ns, ns + (900_000_000 if 500_000_000 < ns < 1_000_000_000 else 0))))
     assert events == []
+
+
+def test_messages_that_a_queue_has_lost_are_no_step_of_the_clock():
+    """They come late by up to two seconds, then the queue drops some and the rest comes in time again."""
+    messages = [m for m in recorded(lambda _, ns: (ns, ns)) if not 500_000_000 < m.stamp_ns - START < 1_600_000_000]
+    late = [replace(m, received_ns=max(m.received_ns, START + 1_590_000_000)) if m.stamp_ns > START + 400_000_000 else m
+            for m in messages]  # fmt: skip
+    clocks = ClockFollower(PERIODS)
+    assert list(clocks.followed(iter(late))) == late and clocks.events() == []
