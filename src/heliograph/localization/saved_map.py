@@ -25,6 +25,7 @@ _MAX_POINTS = 30_000  # of a cloud that is described
 _THINNED = 0.12  # edge of the cubes of which submaps of a bare map keep a point [m]
 _BLOCK = 200_000  # points of a bare map that are inserted at once
 _EVERYWHERE = 1e9  # a saved map forgets nothing [m]
+_FAR = 1e4  # single precision holds a millimetre up to here [m]
 _SMALLEST = 500  # points that a map needs
 _FLATTEST = 2.0  # extent that it needs along its second axis [m]
 
@@ -168,6 +169,12 @@ def map_of_points(
     settings, surfaces = align_config(config, sided=False), _everything(maps)
     finite = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)], dtype=np.float32)
     _check_extent(len(finite), finite)
+    far = float(np.abs(np.median(finite, axis=0)).max())
+    if far > _FAR:
+        raise DataError(
+            f"the map lies {far:.0f} m from its origin, where single precision blurs it: take an offset off its "
+            "coordinates, and add it to the poses"
+        )
     for begin in range(0, len(finite), _BLOCK):
         surfaces.insert(finite[begin : begin + _BLOCK], np.eye(4))
     submaps = []

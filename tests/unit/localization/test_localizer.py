@@ -120,10 +120,15 @@ def test_standing_places_are_above_each_floor_and_no_shelf():
 
 
 @pytest.mark.parametrize(
-    ("factor", "count", "words"),
-    [(1e6, 5000, "millimetres"), (1e-3, 5000, "kilometres"), (1.0, 100, "too few")],
+    ("factor", "count", "away", "words"),
+    [
+        (1e6, 5000, 0.0, "millimetres"),
+        (1e-3, 5000, 0.0, "kilometres"),
+        (1.0, 100, 0.0, "too few"),
+        (1.0, 5000, 5e6, "from its origin"),
+    ],
 )
-def test_map_of_points_of_another_unit_is_told_in_one_line(factor, count, words):
-    points = np.random.default_rng(0).uniform(size=(count, 3)) * [40.0, 30.0, 5.0] * factor
+def test_map_of_points_that_is_no_map_here_is_told_in_one_line(factor, count, away, words):
+    points = np.random.default_rng(0).uniform(size=(count, 3)) * [40.0, 30.0, 5.0] * factor + away
     with pytest.raises(DataError, match=words):
         map_of_points(points)
