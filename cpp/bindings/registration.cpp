@@ -53,17 +53,18 @@ Tuple nearest_points(const VoxelMap& map, const Points& points, const Floats& be
 
 Tuple query(const VoxelMap& map, const Vectors& points, double gate, int fallback_stride, double fallback_range) {
   const size_t n = points.shape(0);
-  std::vector<float> normal(3 * n), variance(n), tilt(n);
+  std::vector<float> normal(3 * n), variance(n), tilt(n), scatter(n), since(n);
   std::vector<double> point(3 * n);
   std::vector<uint8_t> source(n);
   {
     nb::gil_scoped_release release;
     query_planes(map, span_of(points), settings(gate, 0.0, 1.0, fallback_stride, fallback_range, {false, false}),
-                 {normal.data(), point.data(), variance.data(), tilt.data(), source.data()});
+                 {normal.data(), point.data(), variance.data(), tilt.data(), scatter.data(), since.data(), source.data()});
   }
-  static TupleType type{"Planes", "normal point variance tilt source"};
+  static TupleType type{"Planes", "normal point variance tilt scatter since source"};
   return named(type, to_numpy<float>(std::move(normal), {n, 3}), to_numpy<double>(std::move(point), {n, 3}),
-               to_numpy<float>(std::move(variance), {n}), to_numpy<float>(std::move(tilt), {n}), to_numpy<uint8_t>(std::move(source), {n}));
+               to_numpy<float>(std::move(variance), {n}), to_numpy<float>(std::move(tilt), {n}),
+               to_numpy<float>(std::move(scatter), {n}), to_numpy<float>(std::move(since), {n}), to_numpy<uint8_t>(std::move(source), {n}));
 }
 
 }  // namespace

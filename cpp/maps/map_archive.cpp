@@ -74,6 +74,7 @@ std::vector<uint8_t> VoxelMap::save() const {
     to.put_all<float>(m.sum);
     to.put_all<float>(m.outer);
     to.put(m.touched);
+    to.put(m.since);
     to.put_all<float>(plane.normal);
     to.put_all<float>(plane.centroid);
     to.put(plane.variance);
@@ -99,6 +100,7 @@ void VoxelMap::load(std::span<const uint8_t> bytes) {
     from.get_all<float>(m.sum);
     from.get_all<float>(m.outer);
     m.touched = from.get<uint32_t>();
+    m.since = from.get<float>();
     from.get_all<float>(plane.normal);
     from.get_all<float>(plane.centroid);
     plane.variance = from.get<float>();

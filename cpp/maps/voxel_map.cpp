@@ -89,7 +89,7 @@ uint32_t VoxelMap::locate(uint64_t key, size_t* created) {
   if (slot->full != 0) return kFull;
   if (is_new) {
     planes_.push_back({{0, 0, 0}, {0, 0, 0}, -1.0F, 0.0F});
-    moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0});
+    moments_.push_back({key, 0.0F, 0.0F, {0, 0, 0}, {0, 0, 0, 0, 0, 0}, 0, 0.0F});
     ++*created;
   }
   return slot->value;
@@ -107,6 +107,7 @@ void VoxelMap::add(const Delta& delta, uint64_t key, uint32_t id) {
   const float n = delta.count;
   const float* s = delta.sum;
   m.count += n;
+  m.since += (static_cast<float>(insertions_) - m.since) * n / m.count;
   for (int i = 0; i < 3; ++i) m.sum[i] += s[i] + n * d[i];
   int k = 0;
   for (int i = 0; i < 3; ++i)

@@ -36,6 +36,7 @@ struct Moments {
   float sum[3];        // relative to the cube's centre
   float outer[6];      // xx xy xz yy yz zz
   uint32_t touched;    // number of the last insertion that added to it
+  float since;         // mean number of the insertions that its points came with
 };
 
 class VoxelMap {

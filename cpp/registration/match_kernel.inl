@@ -14,6 +14,7 @@ struct FoundPlane {
   float offset[3];  // query minus a point of the plane
   float variance;   // of the plane at the query, across it [m^2]
   float tilt;       // variance of the normal about either axis across it [rad^2]
+  uint32_t id;      // of its cube; of none through neighbours
   uint8_t source;   // 0 none, 1 + level, 255 neighbours
 };
 
@@ -73,6 +74,7 @@ inline bool try_plane(const MapView& map, int level, const int64_t* c, const dou
   out->tilt = plane.variance * plane.inv_spread;
   out->variance = plane.variance + out->tilt * (dx * dx + dy * dy + dz * dz - r * r);
   out->source = static_cast<uint8_t>(1 + level);
+  out->id = id;
   return true;
 }
 
@@ -464,12 +466,13 @@ inline void points_range(const MatchInput& in, uint64_t begin, uint64_t end, Nor
 }
 
 inline void query_range(const MatchInput& in, const double* points, uint64_t begin, uint64_t end, float* normal,
-                        double* point, float* variance, float* tilt, uint8_t* source) {
+                        double* point, float* variance, float* tilt, float* scatter, float* since, uint8_t* source) {
   int unmatched = 0;
   for (uint64_t k = begin; k < end; ++k) {
     const double* q = points + 3 * k;
     FoundPlane plane;
     source[k] = 0;
+    scatter[k] = since[k] = -1.0F;
     if (!find_plane(in.map, q, static_cast<float>(in.gate), &plane)) {
       if (in.fallback_stride == 0 || unmatched++ % in.fallback_stride != 0) continue;
       if (!find_neighbour_plane(in.map, q, static_cast<float>(in.gate), static_cast<float>(in.fallback_range), &plane))
@@ -482,6 +485,10 @@ inline void query_range(const MatchInput& in, const double* points, uint64_t beg
     variance[k] = plane.variance;
     tilt[k] = plane.tilt;
     source[k] = plane.source;
+    if (plane.source == 255) continue;
+    const Moments& m = in.map.moments[plane.id];
+    scatter[k] = in.map.planes[plane.id].variance * (m.fitted > 4.0F ? m.fitted - 3.0F : 1.0F);
+    since[k] = m.since;
   }
 }
 

@@ -19,6 +19,7 @@ struct IndexView {
 struct MapView {
   IndexView voxels;
   const PlaneView* planes;
+  const Moments* moments;
   IndexView point_index;
   const BucketView* buckets;
   double voxel;
@@ -55,7 +56,7 @@ struct MatchKernels {
   void (*planes)(const MatchInput&, uint64_t begin, uint64_t end, NormalSums*);
   void (*points)(const MatchInput&, uint64_t begin, uint64_t end, NormalSums*);
   void (*query)(const MatchInput&, const double* points, uint64_t begin, uint64_t end, float* normal, double* point,
-                float* variance, float* tilt, uint8_t* source);
+                float* variance, float* tilt, float* scatter, float* since, uint8_t* source);
 };
 
 MatchKernels baseline_match_kernels();

@@ -24,6 +24,7 @@ MatchKernels kernels() {
 MapView view(const VoxelMap& map) {
   return {{map.index().slots(), map.index().mask()},
           map.planes().data(),
+          map.moments().data(),
           {map.points().index().slots(), map.points().index().mask()},
           map.points().buckets().data(),
           map.settings().voxel,
@@ -126,7 +127,8 @@ NormalEquations match_points(const VoxelMap& map, const MatchScan& scan, const M
 void query_planes(const VoxelMap& map, std::span<const double> points_odom, const MatchSettings& settings,
                   PlaneQuery out) {
   const MatchInput in = input(map, {{}, {}, nullptr, nullptr, nullptr}, settings);
-  kernels().query(in, points_odom.data(), 0, points_odom.size() / 3, out.normal, out.point, out.variance, out.tilt, out.source);
+  kernels().query(in, points_odom.data(), 0, points_odom.size() / 3, out.normal, out.point, out.variance, out.tilt, out.scatter,
+                  out.since, out.source);
 }
 
 }  // namespace heliograph

@@ -59,12 +59,15 @@ NormalEquations match_planes(const VoxelMap& map, const MatchScan& scan, const M
 NormalEquations match_points(const VoxelMap& map, const MatchScan& scan, const MatchSettings& settings, int threads);
 
 // The plane of each point of the odom frame, if any: normal (N, 3), point on it (N, 3), variance across it at the query
-// (N,), that of its normal about either axis across it (N,), and where it came from (N,): 0 none, 1 + level, or 255 the neighbours.
+// (N,), that of its normal about either axis across it (N,), that of its points about it (N,) and the mean number of the
+// insertions that brought them (N,), negative where nothing tells, and where it came from (N,): 0 none, 1 + level, or 255 the neighbours.
 struct PlaneQuery {
   float* normal;
   double* point;
   float* variance;
   float* tilt;
+  float* scatter;
+  float* since;
   uint8_t* source;
 };
 void query_planes(const VoxelMap& map, std::span<const double> points_odom, const MatchSettings& settings, PlaneQuery out);

@@ -61,15 +61,16 @@ void check_odd_inputs() {
 void check_query() {
   const VoxelMap map = floor_map();
   const std::vector<double> queries{5.0, 5.0, 0.25, 5.0, 5.0, 3.0, -1e7, 1e7, 0.0};
-  std::vector<float> normal(9), variance(3), tilt(3);
+  std::vector<float> normal(9), variance(3), tilt(3), scatter(3), since(3);
   std::vector<double> point(9);
   std::vector<uint8_t> source(3);
-  query_planes(map, queries, kSettings, {normal.data(), point.data(), variance.data(), tilt.data(), source.data()});
+  query_planes(map, queries, kSettings, {normal.data(), point.data(), variance.data(), tilt.data(), scatter.data(), since.data(), source.data()});
   CHECK(source[0] == 1 && source[1] == 0 && source[2] == 0);
   CHECK_NEAR(std::abs(normal[2]), 1.0F, 1e-5F);
   CHECK_NEAR(point[2], 0.2, 1e-5);
   CHECK(variance[0] > 0.0F && tilt[0] > 0.0F && tilt[0] < 1e-2F);
-  query_planes(map, {}, kSettings, {nullptr, nullptr, nullptr, nullptr, nullptr});
+  CHECK(since[0] == 1.0F && since[1] == -1.0F && scatter[0] >= variance[0] && scatter[1] < 0.0F);
+  query_planes(map, {}, kSettings, {nullptr, nullptr, nullptr, nullptr, nullptr, nullptr, nullptr});
 }
 
 }  // namespace

@@ -31,6 +31,11 @@ class PlaneMatches:
     tilt : (N,) float32 or None
         Variance of each normal about either axis across it [rad^2]; what is not told counts as exact, and many planes
         then seem to tell about directions that none of them faces.
+    scatter : (N,) float32 or None
+        Variance of each plane's points about it [m^2]; negative where it is not known.
+    since : (N,) float32 or None
+        Mean number of the insertions that each plane's points came with, the first being 1; negative where it is not
+        known. Without both, what scans after one another err alike is not counted.
     source : (N,) uint8
         0 no plane, `NEIGHBOURS` a plane through nearest neighbours, else 1 + the map's level.
     """
@@ -40,6 +45,8 @@ class PlaneMatches:
     variance: NDArray[np.float32]
     source: NDArray[np.uint8]
     tilt: NDArray[np.float32] | None = None
+    scatter: NDArray[np.float32] | None = None
+    since: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         freeze(self)

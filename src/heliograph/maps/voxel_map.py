@@ -83,10 +83,12 @@ class VoxelMap:
             ``points_odom`` are not (N, 3) float64.
         """
         points = as_array("points_odom", points_odom, np.float64, (None, 3))
-        normal, point, variance, tilt, source = _core.query_planes(
+        normal, point, variance, tilt, scatter, since, source = _core.query_planes(
             self.native, points, gate, int(neighbours), self.config.fallback_range
         )
-        return PlaneMatches(normal=normal, point=point, variance=variance, tilt=tilt, source=source)
+        return PlaneMatches(
+            normal=normal, point=point, variance=variance, tilt=tilt, scatter=scatter, since=since, source=source
+        )
 
     def table(self) -> NDArray[np.float64]:
         """Return one row a cube: level, count, centre 3, normal 3, centroid 3, variance (< 0: no plane), 1 / spread."""

@@ -69,6 +69,12 @@ class TrueShare:
         V = self.directions[:, seen]
         return np.asarray((V / self.share[seen] ** 2) @ V.T)
 
+    def spread(self, score: Array) -> Array:
+        """Return the covariance (C, C) that one of the gradient, ``score`` (C, C), has over what is seen."""
+        seen = self.share > 0.0
+        G = (self.directions[:, seen] / self.share[seen]) @ self.directions[:, seen].T
+        return np.asarray(G @ score @ G.T)
+
     def gradient(self, gradient: Array) -> Array:
         """Return the part ``S^T b`` (C,) of a gradient that goes with it."""
         return np.asarray(self.duals.T @ (self.share * (self.directions.T @ gradient)))

@@ -191,3 +191,22 @@ def test_memory_follows_the_volume_not_the_number_of_scans(rng):
     for _ in range(20):
         local_map.insert(cloud, np.eye(4))
     assert local_map.nbytes == before
+
+
+def test_a_plane_knows_when_its_points_came(rng):
+    local_map, floor = VoxelMap(), np.c_[rng.uniform(-2.0, 2.0, (4000, 2)), np.zeros(4000)].astype(np.float32)
+    local_map.insert(floor, np.eye(4))
+    local_map.insert(np.zeros((0, 3), np.float32), np.eye(4))
+    local_map.insert(floor[floor[:, 0] > 0.0], np.eye(4))
+    at = np.array([[-1.1, 0.6, 0.0], [1.1, 0.6, 0.0], [0.0, 0.0, 9.0]])
+    np.testing.assert_allclose(local_map.planes_at(at, gate=0.1).since, [1.0, 2.0, -1.0], atol=1e-5)
+
+
+def test_a_plane_knows_how_its_points_scatter_about_it(rng):
+    floor = np.c_[rng.uniform(-2.0, 2.0, (40_000, 2)), 0.01 * rng.standard_normal(40_000) + 0.12].astype(np.float32)
+    local_map = VoxelMap()
+    local_map.insert(floor, np.eye(4))
+    at = np.c_[rng.uniform(-1.9, 1.9, (200, 2)), np.full(200, 0.12)]
+    found = local_map.planes_at(at, gate=0.1)
+    np.testing.assert_allclose(np.sqrt(found.scatter.mean()), 0.01, rtol=0.05)
+    assert local_map.planes_at(at + np.array([0.0, 0.0, 9.0]), gate=0.1).scatter.max() < 0.0

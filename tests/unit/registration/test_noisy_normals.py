@@ -150,3 +150,11 @@ def test_a_map_that_does_not_tell_its_tilts_is_taken_at_its_word(rng):
     got = linearize(Silent(fast), points, T, SETTINGS)
     share = true_share(got)
     np.testing.assert_allclose(share.information(), got.information, rtol=1e-9, atol=1e-6 * got.information.max())
+
+
+def test_spread_of_a_gradient_as_noisy_as_the_sums_say_is_the_covariance():
+    equations = tube_equations(2)
+    found = true_share(equations, equations.columns_of("pose"))
+    H = equations.information[:6, :6]
+    np.testing.assert_allclose(found.spread(H), found.covariance(), rtol=1e-6, atol=1e-9 * found.covariance().max())
+    np.testing.assert_allclose(found.spread(4.0 * H), 4.0 * found.covariance(), rtol=1e-6, atol=1e-8)

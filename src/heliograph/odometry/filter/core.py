@@ -194,7 +194,8 @@ class FilterCore(Stateful):
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
             # What did not settle ties no new ground to the frame; the next scan that does, ties it.
             tied = seen if fit is not None and (fit.converged or self._motion.inertial) else None
-            posterior = self._keeper.extend(points_imu, pose, posterior, tied)  # (9)
+            matched = self._matcher.matched(points_imu, picked) if tied is not None else None
+            posterior = self._keeper.extend(points_imu, pose, posterior, tied, matched)  # (9)
         watch.lap("map")
 
         if fit is not None or self._count == 0:

@@ -29,6 +29,7 @@ from heliograph.data import NavState
 from heliograph.data.error_layout import GRAVITY, POSE, POSE_DIM, POSITION, ROTATION, VELOCITY
 from heliograph.imu import ErrorGrowth
 from heliograph.lie import s2, so3
+from heliograph.odometry.filter.lasting import Drag
 from heliograph.snapshots import Stateful, array
 
 __all__ = ["MapDrift"]
@@ -46,6 +47,7 @@ class MapDrift(Stateful):
 
     _STATE: ClassVar = {
         "_frame": array(np.float64, POSE_DIM, POSE_DIM),
+        "_lasting": array(np.float64, POSE_DIM, 3),
         "_cross": (array(np.float64, None, POSE_DIM), None),
         "_pending": float,
         "walked": float,
@@ -57,6 +59,7 @@ class MapDrift(Stateful):
         self._cross: Array | None = (
             None  # of the state's errors with the frame's, (K, 6); None: nothing was handed over
         )
+        self._lasting = np.zeros((POSE_DIM, 3))  # covariance of the frame's errors with what lasts
         self._pending = 0.0
         self.walked = 0.0
         """Variance by which the frame has walked where the sensor was, step by step since the beginning [m^2]."""
@@ -111,6 +114,16 @@ class MapDrift(Stateful):
         self._cross = self._cross + turned @ step @ N.T
         self.walked += float(np.trace(step[POSITION, POSITION]))
         return replace(state, covariance=state.covariance + turned @ step @ turned.T)
+
+    def drag(self, drag: Drag) -> None:
+        """Let the frame follow what scans err alike; see `LastingErrors`."""
+        gain = np.zeros((POSE_DIM, 3))
+        gain[POSITION] = drag.gain
+        shared = gain @ self._lasting.T
+        step = shared + shared.T + gain @ gain.T
+        self._frame = self._frame + step
+        self._lasting = drag.kept * (self._lasting + gain)
+        self.walked += max(float(np.trace(step[POSITION, POSITION])), 0.0)
 
     def pose_covariance(self, state: NavState) -> Array:
         """Return the covariance of rotation (body) and position (odom) of ``state`` against the odom origin, (6, 6)."""

@@ -14,6 +14,7 @@ from heliograph.data.error_layout import POSE_DIM
 from heliograph.imu import ErrorGrowth
 from heliograph.maps import WindowedMap
 from heliograph.odometry.filter.drift import MapDrift
+from heliograph.odometry.filter.lasting import LastingErrors, MatchedPoints
 from heliograph.odometry.filter.map_window import MapWindow
 from heliograph.registration import TrueShare
 from heliograph.snapshots import PART, Stateful, array
@@ -65,6 +66,7 @@ class MapKeeper(Stateful, Generic[P]):
     _STATE: ClassVar = {
         "scans": int,
         "drift": PART,
+        "_lasting": PART,
         "_window": PART,
         "_pruned_at": array(np.float64, 3),
     }
@@ -75,6 +77,7 @@ class MapKeeper(Stateful, Generic[P]):
         """Scans inserted since the map was begun."""
         self.drift = MapDrift(config.systematic)
         """How far the map's frame may have drifted."""
+        self._lasting = LastingErrors(config.typical_range)
         self._window = MapWindow(window)
         self._pruned_at = centre
 
@@ -89,6 +92,7 @@ class MapKeeper(Stateful, Generic[P]):
         pose: Array,
         state: NavState,
         seen: TrueShare | None,
+        matched: MatchedPoints | None = None,
     ) -> NavState:
         """Insert a scan, account for what the map's frame may have drifted by that, and forget what is far or long ago.
 
@@ -104,8 +108,11 @@ class MapKeeper(Stateful, Generic[P]):
             The state at the scan's end.
         seen : TrueShare or None
             What the match that gave the pose saw of it; None where the pose defines the map.
+        matched : MatchedPoints, optional
+            What was matched; without it what lasts from scan to scan is not counted.
         """
         self.scans = 1 if self.empty else self.scans + 1
+        drag = self._lasting.dragged(self.map, state, seen, matched)
         share = self.map.insert(points_imu, pose)
         if seen is None:
             self.drift.begin(share)
@@ -114,6 +121,8 @@ class MapKeeper(Stateful, Generic[P]):
                 state = self.drift.hand_over(state, seen.blind())
             # Matched with one match an axis; all of them tell a third of their number as much.
             state = self.drift.grow(state, share, seen.covariance() * seen.matches / 3.0)
+            if drag is not None:
+                self.drift.drag(drag)
         vouching = self._window.moved(state.p_odom, self.drift.walked)
         if vouching is not None and isinstance(self.map, WindowedMap):
             self.map.forget_unseen(vouching)
@@ -138,6 +147,7 @@ class MapKeeper(Stateful, Generic[P]):
         """
         state = self.drift.hand_over(state, np.eye(POSE_DIM))
         self._window.begin()
+        self._lasting.begin()
         self.map.clear()
         return state
 

@@ -19,6 +19,7 @@ from heliograph.maps import LocalMap
 from heliograph.odometry.filter.calibrating import CalibrationTerms
 from heliograph.odometry.filter.error_state import mounting_error
 from heliograph.odometry.filter.innovation import InnovationTest
+from heliograph.odometry.filter.lasting import MatchedPoints
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.update import FilterUpdate, iterated_update, weighed_less
 from heliograph.registration import MatchSettings, NormalEquations, linearize, true_share
@@ -229,6 +230,12 @@ class ScanMatcher(Stateful):
     def usual_share(self) -> float:
         """Share of the points that usually match."""
         return self._usual_share
+
+    def matched(self, points_imu: NDArray[np.float32], picked: NDArray[np.int32]) -> MatchedPoints:
+        """Return how the picked ones of a scan's points were matched at last."""
+        scale = self._config.kernel * self.noise.sigma
+        settings = MatchSettings(gate=self._config.gate * scale, kernel=scale, sigma=self.noise.sigma)
+        return MatchedPoints(points_imu=points_imu[picked], settings=settings)
 
     def match(
         self,
