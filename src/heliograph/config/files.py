@@ -118,7 +118,7 @@ class OutputConfig:
     drop_moving: bool = True
     moving_votes: int = 3
     moving_ratio: float = 1.5
-    moving_reach: float = 30.0
+    moving_reach: float = 20.0
     moving_margin: float = 0.3
     keep_submaps: bool = False
     checkpoint_interval: float = 30.0

@@ -399,11 +399,11 @@ class BackEnd:
         while self._in_force:
             numbers = list(self._in_force)
             off = _misfits([self.ledger[number].evidence for number in numbers], self.T_map_imu, slack)
-            most = int(np.argmax(off))
-            if off[most] <= gate:
+            index = int(np.argmax(off))
+            if off[index] <= gate:
                 break
-            worst = numbers[most]
-            revoked.append(self.ledger.revoke(worst, "solve", chi2=float(off[most]), allowed=gate))
+            worst = numbers[index]
+            revoked.append(self.ledger.revoke(worst, "solve", chi2=float(off[index]), allowed=gate))
             self._smoother.update(remove=[self._in_force.pop(worst)], iterate=_CONVERGED)
         return revoked
 
