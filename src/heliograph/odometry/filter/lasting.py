@@ -37,8 +37,8 @@ from heliograph.snapshots import Stateful, array
 
 __all__ = ["Drag", "LastingErrors", "MatchedPoints"]
 
-_STRIDE = 0.25  # ages are looked at so often, and a plane is no younger [m]
-_ASKED = 2000  # points whose planes are asked
+_STRIDE = 0.5  # ages are looked at so often, and a plane is no younger [m]
+_ASKED = 1000  # points whose planes are asked
 _CUBE = 0.5  # edge of the cubes whose planes err alike [m]
 _SHARED = 1.0 / 6.0  # share of the scatter about a plane that all matches in its cube have in common
 _BOTH = 2.0  # the planes were laid by scans that were pulled as this one is, at another place

@@ -46,8 +46,8 @@ class ThreeWalls(VoxelMap):
 
 
 def walked(lasting, local_map, state, metres, seen=SEEN):
-    """The drags of scans a quarter of a metre apart along x."""
-    at = [replace(state, p_odom=state.p_odom + np.array([0.25 * (k + 1), 0.0, 0.0])) for k in range(int(4 * metres))]
+    """The drags of scans half a metre apart along x."""
+    at = [replace(state, p_odom=state.p_odom + np.array([0.5 * (k + 1), 0.0, 0.0])) for k in range(int(2 * metres))]
     return [lasting.dragged(local_map, one, seen, POINTS) for one in at]
 
 
@@ -61,10 +61,10 @@ def test_frame_follows_an_axis_as_fast_as_the_planes_that_face_it_are_replaced(l
     lasting = LastingErrors(15.0)
     lasting.dragged(ThreeWalls(1, 1, 1), level, None, None)
     walked(lasting, ThreeWalls(1, 1, 1), level, 10.0)
-    last = lasting.dragged(ThreeWalls(34, 10, 41), replace(level, p_odom=np.array([10.25, 0.0, 0.0])), SEEN, POINTS)
-    expected = [0.25 / 2.0 * 2e-3, 0.25 / 8.0 * 1e-3, 1e-3]
+    last = lasting.dragged(ThreeWalls(18, 6, 21), replace(level, p_odom=np.array([10.5, 0.0, 0.0])), SEEN, POINTS)
+    expected = [0.5 / 2.0 * 2e-3, 0.5 / 8.0 * 1e-3, 1e-3]
     np.testing.assert_allclose(np.diag(last.gain), expected, rtol=0.1)
-    assert last.kept == pytest.approx(np.exp(-0.25 / 15.0))
+    assert last.kept == pytest.approx(np.exp(-0.5 / 15.0))
 
 
 def test_way_back_is_not_credited_with_what_it_undoes(level):
@@ -91,7 +91,7 @@ def test_scans_at_rest_do_not_make_a_plane_old(level):
     for _ in range(50):
         lasting.dragged(ThreeWalls(1, 1, 1), level, SEEN, POINTS)
     first = walked(lasting, ThreeWalls(3, 25, 50), level, 1.0)[-1]
-    np.testing.assert_allclose(np.diag(first.gain), [0.25 * 2e-3, 0.25 * 1e-3, 0.25 * 1e-3], rtol=1e-5)
+    np.testing.assert_allclose(np.diag(first.gain), [0.5 * 2e-3, 0.5 * 1e-3, 0.5 * 1e-3], rtol=1e-5)
 
 
 @pytest.mark.parametrize(("kept", "times"), [(1.0, 40.0), (0.0, np.sqrt(40.0))])
