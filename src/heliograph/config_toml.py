@@ -9,7 +9,6 @@ import dataclasses
 import json
 import math
 import re
-import sys
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -17,11 +16,7 @@ from typing import Any, TypeGuard, TypeVar
 
 from heliograph.config import RunConfig
 from heliograph.errors import ConfigError, FormatError, closest
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from heliograph.guard.toml import parse_toml
 
 __all__ = ["apply_overrides", "build", "dump_config", "field_docs", "keys", "load_config"]
 
@@ -43,10 +38,10 @@ def load_config(path: Path | str) -> RunConfig:
     """
     path = Path(path)
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = parse_toml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: the configuration cannot be read ({error.strerror}); check the path") from error
-    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of numbers of thousands of digits
+    except ValueError as error:  # of TOML, of UTF-8, of numbers of thousands of digits
         raise FormatError(path, f"not valid TOML ({error})") from error
     try:
         return build(RunConfig, values)
@@ -181,8 +176,8 @@ def _set(values: dict[str, Value], root: type, key: str, text: str) -> None:
 
 def _parse(kind: Any, text: str) -> Value:  # noqa: ANN401 - a type, and whatever the text holds
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except (ValueError, RecursionError):
+        value = parse_toml(f"value = {text}")["value"]
+    except ValueError:
         return text
     # A bare 5 or true is still a string where a string is wanted.
     return text if kind is str and not isinstance(value, str) else value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,11 +10,7 @@ import numpy as np
 
 from heliograph.arrays import Array, Mask, Points, freeze
 from heliograph.errors import FormatError, closest
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from heliograph.guard.toml import parse_toml
 
 __all__ = ["EDITS", "RemovedBox", "RunEdits", "read_edits"]
 
@@ -83,8 +78,8 @@ def read_edits(path: Path | str) -> RunEdits:
     """
     path = Path(path)
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        tables = parse_toml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise FormatError(path, f"is no plan of edits ({error})") from error
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in _TABLES}
     for name, value in tables.items():

@@ -230,6 +230,7 @@ def open_run_graph(folder: Path | str) -> RunGraph:
     config = load_config(folder / "config.toml")
     store = KeyframeStore.open(folder / KEYFRAMES)
     ledger = read_ledger(folder / "loops.csv", config.loops)
+    _check_ledger(folder / "loops.csv", ledger, len(store))
     if not len(store):
         raise FormatError(folder / KEYFRAMES, "holds no whole keyframe; the store is damaged, run it again")
     T_odom = np.stack([store.T_odom_imu(index) for index in range(len(store))])
@@ -247,6 +248,15 @@ def open_run_graph(folder: Path | str) -> RunGraph:
     return RunGraph(
         folder=folder, config=config, facts=facts, store=store, ledger=ledger, T_map_imu=T, fixes=fixes, edits=edits
     )
+
+
+def _check_ledger(path: Path, ledger: Ledger, keyframes: int) -> None:
+    """Raise where the ledger names keyframes that the store has not, or no longer."""
+    for entry in ledger:
+        ends = (entry.evidence.query, entry.evidence.match)
+        if not 0 <= min(ends) <= max(ends) < keyframes:
+            raise FormatError(path, f"loop {entry.number} joins keyframes {ends[0]} and {ends[1]}, and the store holds "
+                                    f"{keyframes}; run the recording again")  # fmt: skip
 
 
 def _held(graph: Mapping[str, Any]) -> bool:

@@ -370,6 +370,8 @@ def _path_lengths(poses: Array) -> Array:
 
 
 def _rotation_full(cross: Array) -> Array:
+    if not np.isfinite(cross).all():
+        raise DataError("the positions are too large to be aligned; check the units of both trajectories")
     u, spread, vt = np.linalg.svd(cross)
     if spread[1] < _MIN_SPREAD**2:
         raise DataError(

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.arrays import freeze
 from heliograph.config import OutputConfig
 from heliograph.data import ScanResult
 from heliograph.errors import OutputError
@@ -257,6 +258,9 @@ class _Seen:
     held: Sight | None
     origin: NDArray[np.float64]
     T_map_odom: NDArray[np.float64] | None
+
+    def __post_init__(self) -> None:
+        freeze(self)
 
     @classmethod
     def of(cls, submap: Submap, at: int, T_map_odom: NDArray[np.float64] | None) -> _Seen | None:

@@ -300,10 +300,12 @@ def rewrite_scans(path: Path, final: FinalPoses, to: Path) -> NDArray[np.float64
     FormatError
         It is no ``scans.csv``.
     """
-    with path.open(encoding="utf-8", newline="") as file:
-        reader = csv.DictReader(file)
-        columns, rows = tuple(reader.fieldnames or ()), list(reader)
     try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file)
+            columns, rows = tuple(reader.fieldnames or ()), list(reader)
+        if any(None in row or None in row.values() for row in rows):
+            raise ValueError("a row has another number of cells than the header")
         T = final.T_map_odom(np.array([int(row["end_ns"]) for row in rows], dtype=np.int64))
         moved = np.zeros((0, 3))
         for name in ODOM_VECTORS:
@@ -312,7 +314,7 @@ def rewrite_scans(path: Path, final: FinalPoses, to: Path) -> NDArray[np.float64
             moved = np.einsum("nij,nj->ni", T[:, :3, :3], vectors) + (T[:, :3, 3] if name == "position" else 0.0)
             for row, vector in zip(rows, moved, strict=True):
                 row |= {cell: repr(v) if v == v else "" for cell, v in zip(cells, _shortened(vector), strict=True)}
-    except (KeyError, ValueError, TypeError) as error:
+    except (LookupError, ValueError, TypeError, ArithmeticError, csv.Error) as error:
         raise FormatError(path, f"is no table of scans ({error}); run the recording again") from error
     with CsvWriter(to, columns) as writer:
         for row in rows:

@@ -213,7 +213,10 @@ def _read(file: io.BufferedReader) -> Submap | None:
     checksum, count, stamp_ns, *numbers = _HEADER.unpack(header)
     narrow_cubes, narrow_counts, has_intensity, rays = numbers[19:23]
     columns = _columns(count, narrow_cubes, narrow_counts, has_intensity, rays)
-    body = file.read(sum(np.dtype(kind).itemsize * length for kind, length in columns))
+    size = sum(np.dtype(kind).itemsize * length for kind, length in columns)
+    if size > os.fstat(file.fileno()).st_size - file.tell():  # cut off, or a number that a stranger wrote
+        return None
+    body = file.read(size)
     if zlib.crc32(body, zlib.crc32(header[_CHECKED:])) != checksum:
         return None
     arrays, begin = [], 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.atomic import atomic_path
 from heliograph.data import ImuBatch, ScanResult, Trajectory
+from heliograph.errors import FormatError
 from heliograph.io.files.tum import TumWriter, parse_seconds
 from heliograph.lie import so3
 from heliograph.output.final_poses import FinalPoses
@@ -160,19 +161,35 @@ def rewrite(path: Path, final: FinalPoses, to: Path | None = None) -> None:
     final : FinalPoses
     to : Path, optional
         Where to write; by default the file itself, which is left alone where nothing moved.
+
+    Raises
+    ------
+    FormatError
+        It is no TUM file any more.
     """
     rigid = final.rigid
     if to is None and rigid is not None and np.array_equal(rigid, np.eye(4)):
         return
-    with path.open(encoding="utf-8") as file:
+    with path.open(encoding="utf-8", errors="replace") as file:
         header = file.readline().lstrip("# ").strip()
         with atomic_path(to or path) as temporary, TumWriter(temporary, header) as writer:
             while lines := list(itertools.islice(file, _BLOCK)):
-                rows = [line.split() for line in lines]
-                stamps_ns = np.array([parse_seconds(row[0]) for row in rows], dtype=np.int64)
-                values = np.array([[float(word) for word in row[1:]] for row in rows])
-                T_odom_body = np.tile(np.eye(4), (len(rows), 1, 1))
+                stamps_ns, values = _rows(path, lines)
+                T_odom_body = np.tile(np.eye(4), (len(lines), 1, 1))
                 T_odom_body[:, :3, 3] = values[:, :3]
                 T_odom_body[:, :3, :3] = so3.from_quaternion(values[:, 3:])
                 T_map_odom = final.T_map_odom(stamps_ns) if rigid is None else rigid
                 writer.extend(stamps_ns, T_map_odom @ T_odom_body)
+
+
+def _rows(path: Path, lines: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return stamps (N,) and numbers (N, 7) of a file that was written whole, but by now may be anything."""
+    try:
+        rows = [line.split() for line in lines]
+        stamps_ns = np.array([parse_seconds(row[0]) for row in rows], dtype=np.int64)
+        values = np.array([[float(word) for word in row[1:]] for row in rows]).reshape(len(rows), -1)
+        if values.shape[1] != 7 or not np.isfinite(values).all():
+            raise ValueError("rows of a TUM file are a stamp and seven numbers")
+    except (LookupError, ValueError, ArithmeticError) as error:
+        raise FormatError(path, f"is no trajectory ({error}); run the recording again") from error
+    return stamps_ns, values

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from types import MappingProxyType
@@ -12,16 +11,12 @@ import tomli_w
 
 from heliograph.config_toml import build
 from heliograph.errors import ConfigError, closest
+from heliograph.guard.toml import parse_toml
 from heliograph.sim.places import PLACES
 from heliograph.sim.receiver import GnssModel, GnssSpell
 from heliograph.sim.sensors import ImuModel, LidarModel
 from heliograph.sim.trajectory import Gait
 from heliograph.sim.wheels import WheelModel
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 __all__ = ["SCENARIOS", "Mount", "Scenario", "Walk", "find_scenario", "from_toml", "to_toml"]
 
@@ -146,8 +141,8 @@ def from_toml(text: str) -> Scenario:
         If the text is not TOML, a key is unknown, or a value is of the wrong type.
     """
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+        table = parse_toml(text)
+    except ValueError as error:
         raise ConfigError(f"not a scenario in TOML: {error}") from error
     return build(Scenario, table)
 

@@ -94,3 +94,15 @@ def test_submaps_half_written_are_cut_off(rng, tmp_path, full_disk):
     file.append(make_submap(rng, count=5))
     file.close()
     assert len(list(read_submaps(file.path))) == 2
+
+
+@pytest.mark.parametrize("count", [6, 0x10000, 0xF0000000])
+def test_a_count_beyond_the_file_is_a_submap_cut_off(rng, tmp_path, count):
+    """A forged count once made the reader ask for as much memory as it said."""
+    path = written(tmp_path / "submaps.bin", [make_submap(rng, count=5)]).path
+    content = bytearray(path.read_bytes())
+    at = struct.calcsize("<8sd") + 4  # behind the file's head and the checksum
+    assert struct.unpack_from("<I", content, at)[0] == 5
+    struct.pack_into("<I", content, at, count)
+    path.write_bytes(content)
+    assert list(read_submaps(path)) == []

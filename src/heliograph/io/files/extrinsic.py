@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,9 @@ from heliograph.atomic import write_text
 from heliograph.data import ImuClock, Rig
 from heliograph.errors import ConfigError, closest
 from heliograph.guard.limits import MAX_NS
+from heliograph.guard.toml import parse_toml
 from heliograph.io.files.params_yaml import read_params_yaml
 from heliograph.lie import so3
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 __all__ = ["read_extrinsic", "write_extrinsic"]
 
@@ -69,10 +64,10 @@ def read_extrinsic(path: Path | str) -> Rig:
         T_imu_lidar[:3, :3] = _orthonormal(path, T_imu_lidar[:3, :3])
         return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path}")
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = parse_toml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"extrinsic {path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:  # of TOML, of UTF-8, of numbers of thousands of digits
+    except ValueError as error:  # of TOML, of UTF-8, of numbers of thousands of digits
         raise ConfigError(f"extrinsic {path}: is not TOML: {error}") from error
     clock = _clock(path, content.pop(_CLOCK, {}))
     content.pop(_NOTES, None)
@@ -111,7 +106,7 @@ def _mounting_of_run(path: Path) -> dict[str, Any]:
         return {_TABLE: mounting[_TABLE]}
     except OSError as error:
         raise ConfigError(f"extrinsic {path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ConfigError(f"extrinsic {path}: is not JSON: {error}") from error
     except (KeyError, TypeError) as error:
         raise ConfigError(

@@ -182,7 +182,7 @@ def _rtklib(path: Path, text: str) -> list[GnssFix]:
             values = [float(field) for field in fields[2:5]]
             quality = _RTKLIB_QUALITY.get(int(fields[5]), "")
             sigma = [float(field) for field in fields[7:10]]
-        except ValueError as error:
+        except (ValueError, ArithmeticError) as error:
             raise FormatError(path, f"line {number} is no row of an RTKLIB solution ({error})") from error
         stamp_ns = _ns(when, seconds) - (0 if utc else _LEAP_S * 10**9)
         if ecef:

@@ -106,6 +106,8 @@ def _read_header(path: Path, file: BinaryIO) -> _Header:
         raise FormatError(path, f"is not a PCD file: the header has no {', '.join(missing)}")
     try:
         return _parse_header(entries)
+    except KeyError as error:
+        raise FormatError(path, f"is not a PCD file: the header has no {error.args[0]}") from error
     except (ValueError, IndexError, TypeError) as error:
         raise FormatError(path, f"has a faulty PCD header: {error}") from error
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import FormatError
+from heliograph.guard.limits import MAX_NS
 
 __all__ = ["TextTable", "read_table"]
 
@@ -86,7 +87,11 @@ class TextTable:
             raise FormatError(self.path, f"line {line} has no {self.has(*names)}")
         size = float(np.median(np.abs(values))) if len(values) else 0.0
         scale = next((s for limit, s in ((1e17, 1), (1e14, 10**3), (_SECONDS, 10**6)) if size > limit), 10**9)
-        return np.array([_scaled(text.strip().replace(",", "."), scale) for text in texts], dtype=np.int64)
+        stamps = [_scaled(text.strip().replace(",", "."), scale) for text in texts]
+        for line, stamp in zip(self.lines, stamps, strict=True):
+            if abs(stamp) > MAX_NS:
+                raise FormatError(self.path, f"line {line}: its time is beyond any clock's")
+        return np.array(stamps, dtype=np.int64)
 
 
 def read_table(path: Path, text: str | None = None) -> TextTable:
