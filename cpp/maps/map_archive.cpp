@@ -12,6 +12,7 @@ namespace heliograph {
 namespace {
 
 constexpr uint32_t kFullBit = ~kSeenMask;
+constexpr int64_t kFarCube = int64_t{1} << 52;  // beyond it a double does not tell cubes apart
 
 // Key and marks of the entry whose value is `id`.
 void put_slot(ByteWriter& to, const FlatIndex& index, uint64_t key) {
@@ -116,6 +117,7 @@ void VoxelMap::load(std::span<const uint8_t> bytes) {
 std::vector<uint8_t> FeatureMap::save() const {
   ByteWriter to;
   to.put(insertions_);
+  for (const int64_t number : {last_.x, last_.y, last_.z}) to.put(number);
   to.put(static_cast<uint64_t>(cells_.size()));
   for (const Cell& cell : cells_) {
     to.put(cell.key);
@@ -134,6 +136,10 @@ void FeatureMap::load(std::span<const uint8_t> bytes) {
   if (!cells_.empty() || insertions_ != 0) throw std::invalid_argument("only an empty map can load a state");
   ByteReader from(bytes);
   insertions_ = from.get<uint32_t>();
+  for (int64_t* number : {&last_.x, &last_.y, &last_.z}) {
+    *number = from.get<int64_t>();
+    if (*number > kFarCube || *number < -kFarCube) damaged_state();
+  }
   const size_t count = from.count(sizeof(uint64_t) + 4 * sizeof(float));
   for (size_t id = 0; id < count; ++id) {
     Cell cell{};

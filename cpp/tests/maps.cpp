@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: MIT
 #include <cmath>
 #include <limits>
+#include <span>
+#include <stdexcept>
 #include <vector>
 
+#include "maps/feature_map.hpp"
 #include "maps/global_map.hpp"
 #include "maps/voxel_map.hpp"
 #include "tests/check.hpp"
@@ -111,6 +114,41 @@ void check_surfaces() {
   for (size_t k = 1; k < found.counts.size(); ++k) CHECK_NEAR(found.points[3 * k + 2], 0.0F, 1e-4F);
 }
 
+// A map goes on from its state to the same bits, and one that was cut short or spoilt is refused or does no harm.
+template <typename Map, typename Settings>
+void check_state(const Settings& settings) {
+  Map map(settings), again(settings);
+  map.insert(floor_points(4), kIdentity);
+  const std::vector<uint8_t> state = map.save();
+  again.load(state);
+  CHECK(again.save() == state && again.size() == map.size());
+  for (Map* one : {&map, &again}) one->insert(floor_points(5), kIdentity);
+  CHECK(again.save() == map.save());
+  for (size_t cut = 0; cut < state.size(); cut += 97) {
+    Map none(settings);
+    bool refused = false;
+    try {
+      none.load(std::span(state).first(cut));
+    } catch (const std::invalid_argument&) {
+      refused = true;
+    }
+    CHECK(refused);
+  }
+  for (size_t at = 0; at < state.size(); at += 61) {
+    std::vector<uint8_t> spoilt = state;
+    spoilt[at] ^= 0xff;
+    Map other(settings);
+    try {
+      other.load(spoilt);
+    } catch (const std::invalid_argument&) {
+      continue;
+    }
+    other.insert(floor_points(4), kIdentity);
+    const double centre[3] = {0.0, 0.0, 0.0};
+    other.prune(centre, 100.0, 1000);
+  }
+}
+
 }  // namespace
 
 void check_maps() {
@@ -119,4 +157,6 @@ void check_maps() {
   check_global();
   check_global_merge();
   check_surfaces();
+  check_state<VoxelMap>(kSettings);
+  check_state<FeatureMap>(FeatureMapSettings{FeatureKind::plane, 0.4, 30, 8, 1.0, 0.1, 0.1});
 }

@@ -42,7 +42,7 @@ class SlamConfig:
         one-sigma [m].
     window : int
         Keyframes whose velocities and biases the graph keeps; what IMU and LiDAR said of a step before those is
-        summarised as a step of poses, which takes a third of the memory; 0: all are kept.
+        summarised as a step of poses; 0: all are kept. A keyframe takes less memory then, and longer.
     pose_rotation_sigma_deg, pose_position_sigma : float
         What poses read from a file may drift over a metre; it grows with the root of the way [deg], [m].
     """
@@ -60,7 +60,7 @@ class SlamConfig:
     loop_every: int = 2
     loop_pieces: int = 4
     loop_worth: float = 0.03
-    window: int = 3000
+    window: int = 0
     pose_rotation_sigma_deg: float = 0.5
     pose_position_sigma: float = 0.05
 

@@ -346,7 +346,7 @@ class BackEnd:
     def _begin(self, first: Keyframe) -> InertialFactors | PoseFactors:
         self._factors = factors_for(first, self._config)
         if isinstance(self._factors, InertialFactors):
-            self._past = PastSteps(self._config, self._factors)
+            self._past = PastSteps(self._factors)
         return self._factors
 
     def _smooth(self, keyframe: Keyframe, graph: FactorGraph, values: Values) -> None:
@@ -358,7 +358,7 @@ class BackEnd:
             before, after = self.store[leaving], self.store[leaving + 1]
             past.take(before, after)
             T_map_imu = np.ascontiguousarray(self._smoother.estimate(X(after.index)).matrix[:4, :4])
-            for record in (past.step(leaving), *past.reach(after.T_odom_imu, T_map_imu)):
+            for record in (past.step(leaving), *past.reach(T_map_imu)):
                 graph.add(record)
             gone = [*self._numbers.pop(after.index), self._bias_number]
             numbers = self._smoother.update(graph, values, remove=gone, remove_variables=[int(B(leaving))]).factors

@@ -46,11 +46,6 @@ class InertialFactors:
         self._gravity = np.array([0.0, 0.0, -imu.gravity])
 
     @property
-    def speed_covariance(self) -> Array:
-        """Covariance (3, 3) of the velocity that a run begins with."""
-        return np.asarray(_SPEED**2 * np.eye(3))
-
-    @property
     def bias_covariance(self) -> Array:
         """Covariance (6, 6) of the biases that a run begins with."""
         return np.asarray(np.diag(np.repeat([self._imu.gyro_bias_sigma, self._imu.accel_bias_sigma], 3) ** 2))
