@@ -38,6 +38,7 @@ def loops(
 
     A change rewrites trajectory, map, graph and loops.csv; odometry.tum stays.
     """
+    from heliograph.output.survey_files import ACCURACY
     from heliograph.revision import open_run_graph
 
     graph = open_run_graph(run)
@@ -48,6 +49,11 @@ def loops(
         for entry in changed:
             typer.echo(_line(graph, entry))
         typer.echo(f"{account.accepted} loops stand; trajectory, map and graph of {graph.folder} were written anew")
+        if (graph.folder / ACCURACY).is_file():
+            typer.echo(
+                f"warning: the survey in {graph.folder} is of before; run `heliograph survey {graph.folder}` again",
+                err=True,
+            )
     elif explain is not None:
         entry = graph.ledger[explain]
         picture = _draw(graph, entry)

@@ -29,6 +29,7 @@ from heliograph.output.record import RunRecord
 from heliograph.output.scan_log import ScanLog
 from heliograph.output.sink import Sink
 from heliograph.output.summary import RunSummary
+from heliograph.output.survey_files import remove_survey
 from heliograph.output.trajectories import FILES, TrajectoryFiles
 from heliograph.snapshots import PART, Snapshot, require
 
@@ -366,6 +367,7 @@ class RunFolder(Sink):
         for name in _OWN:
             (self.path / name).unlink(missing_ok=True)
         remove_checkpoint(self.path)
+        remove_survey(self.path)
         keyframes = self.path / _KEYFRAMES
         if (keyframes / "journal.jsonl").is_file():
             shutil.rmtree(keyframes, ignore_errors=True)

@@ -17,6 +17,7 @@ from heliograph.io.files.clouds import read_cloud
 from heliograph.io.files.poses import read_poses
 from heliograph.lie import se3
 from heliograph.maps import GlobalMap
+from heliograph.output.survey_files import ACCURACY
 from heliograph.slam import KEYFRAMES, KeyframeStore
 from heliograph.survey.coordinates import CoordinateSystem, find_coordinate_system
 from heliograph.survey.las import write_survey_las
@@ -69,9 +70,9 @@ def deliver(run: PlacedRun, crs: str, control: dict[str, Any] | None = None) -> 
         files += [folder / "trajectory.gpx", folder / "trajectory.kml"]
         write_gpx_track(files[2], track, system.origin)
         write_kml_track(files[3], track, system.origin)
-    files.append(folder / "accuracy.json")
-    write_text(files[-1], json.dumps(accuracy(run, system, track, control), indent=2) + "\n")
-    return files
+    said = {**accuracy(run, system, track, control), "files": [path.name for path in files]}
+    write_text(folder / ACCURACY, json.dumps(said, indent=2) + "\n")
+    return [*files, folder / ACCURACY]
 
 
 def accuracy(

@@ -12,6 +12,7 @@ from heliograph.io.files.clouds import write_cloud
 from heliograph.io.files.poses import read_poses
 from heliograph.io.files.tum import write_tum
 from heliograph.lie import SE3, se3
+from heliograph.output.survey_files import remove_survey
 from heliograph.slam import KEYFRAMES, KeyframeStore
 from heliograph.survey import deliver
 from heliograph.survey.control import TapeLength, read_control_points, tied
@@ -133,6 +134,10 @@ def test_what_is_delivered_is_the_solved_run(tmp_path):
     truth = se3.act(true_way(), beside.astype(np.float64)).reshape(-1, 3)[HELD]
     assert np.linalg.norm(points[None] - truth[:, None], axis=-1).min(axis=1).max() < 0.12
     assert len(read_poses(tmp_path / "trajectory.tum", stamped=True).stamps_ns) == K
+    (tmp_path / "map_mine.laz").write_text("")
+    remove_survey(tmp_path)  # as a run that replaces this one does
+    assert not [path for path in tmp_path.iterdir() if SYSTEM.tag in path.name or path.suffix in (".gpx", ".kml")]
+    assert (tmp_path / "map_mine.laz").exists()
 
 
 def test_a_tape_holds_two_ends_that_have_no_coordinates(tmp_path):
