@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import Array, Mask, Stamps, freeze
-from heliograph.config_checks import check_choice
+from heliograph.config_checks import check_choice, check_range
 from heliograph.data import GnssFix
 from heliograph.geodesy import enu_to_geodetic
 
@@ -91,6 +91,10 @@ class GnssModel:
     spells: tuple[GnssSpell, ...] = ()
 
     def __post_init__(self) -> None:
+        check_range(self, "rate", low=0.0, high=1000.0)
+        check_range(self, "noise_horizontal", "noise_vertical", "reported_scale", "bias_sigma", low=0.0, high=1e6)
+        check_range(self, "bias_time", low=1e-3, high=1e9)
+        check_range(self, "delay", "latency", low=-1e3, high=1e3)
         check_choice(self, "solution", "single", "sbas", "float", "fixed")
 
     @property

@@ -9,6 +9,7 @@ from typing import Any
 
 import tomli_w
 
+from heliograph.config_checks import check_range
 from heliograph.config_toml import build
 from heliograph.errors import ConfigError, closest
 from heliograph.guard.toml import parse_toml
@@ -48,6 +49,10 @@ class Walk:
     after: float = 1.0
     begin: float = 0.0
     duration: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_range(self, "speed", "ramp", low=0.01, high=1000.0)
+        check_range(self, "rest", "after", "begin", "duration", low=0.0, high=1e6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

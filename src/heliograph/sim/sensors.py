@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
+from heliograph.config_checks import check_range
 from heliograph.sim.world import Returns
 
 __all__ = ["ImuErrors", "ImuModel", "LidarModel", "measure_ranges"]
@@ -41,6 +42,13 @@ class LidarModel:
     max_range: float = 120.0
     range_noise: float = 0.02
     dropout: float = 0.01
+
+    def __post_init__(self) -> None:
+        check_range(self, "beams", "columns", low=1, high=100_000)
+        check_range(self, "rate", low=0.01, high=1000.0)
+        check_range(self, "elevation_deg", low=-90.0, high=90.0)
+        check_range(self, "min_range", "max_range", "range_noise", low=0.0, high=1e6)
+        check_range(self, "dropout", low=0.0, high=1.0)
 
     @property
     def period_ns(self) -> int:
@@ -98,6 +106,13 @@ class ImuModel:
     accel_bias: float = 0.05
     clock_offset: float = 0.0
     clock_drift_ppm: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_range(self, "rate", low=0.1, high=100_000.0)
+        names = ("gyro_noise", "accel_noise", "gyro_walk", "accel_walk", "gyro_bias", "accel_bias")
+        check_range(self, *names, low=0.0, high=1e3)
+        check_range(self, "clock_offset", low=-1e9, high=1e9)
+        check_range(self, "clock_drift_ppm", low=-1e5, high=1e5)
 
 
 def measure_ranges(exact: Returns, model: LidarModel, rng: np.random.Generator) -> NDArray[np.float64]:

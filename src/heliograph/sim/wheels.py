@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from heliograph.arrays import Array, Mask, Stamps, freeze
+from heliograph.config_checks import check_range
 
 __all__ = ["SpeedLog", "WheelModel"]
 
@@ -41,6 +42,12 @@ class WheelModel:
     slip_size: float = 0.3
     legs: bool = False
     impact: float = 0.3
+
+    def __post_init__(self) -> None:
+        check_range(self, "rate", low=0.0, high=100_000.0)
+        check_range(self, "scale", low=-1e3, high=1e3)
+        check_range(self, "noise", "impact", "slip_duration", low=0.0, high=1e3)
+        check_range(self, "slips", low=0, high=10_000)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

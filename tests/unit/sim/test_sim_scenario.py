@@ -46,3 +46,14 @@ def test_warehouse_has_the_figures_of_its_specification():
     assert (s.gait.bounce, s.gait.frequency) == (0.02, 1.8)
     assert s.walk.speed == 1.5
     assert s.walk.rest >= 3.0
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["[walk]\nspeed = 0.0", "[imu]\nrate = 1e12", "[lidar]\nrate = 0.0", "[lidar]\nbeams = 0", "[gnss]\nrate = -1.0",
+     "[walk]\nramp = 0.0", "[wheels]\nslips = -1", "[imu]\nrate = nan"],
+)  # fmt: skip
+def test_scenario_that_cannot_be_is_refused_in_one_line(text):
+    with pytest.raises(ConfigError) as caught:
+        from_toml(text)
+    assert "\n" not in str(caught.value)
