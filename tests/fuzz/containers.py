@@ -108,7 +108,7 @@ def _chosen(records: Sequence[Record], rng: random.Random) -> int:
 
 
 def _spoilt_record(record: Record, rng: random.Random, depth: int = 0) -> Record:
-    if record.opcode == 0x06 and depth < 2:
+    if record.opcode == 0x06 and depth < 2 and len(record.body) >= 32:
         return Record(0x06, _spoilt_chunk(record.body, rng, depth))
     if record.opcode == 0x03 and rng.random() < 0.6:
         number, name = struct.unpack_from("<H", record.body)[0], b"sensor_msgs/msg/PointCloud2"

@@ -105,7 +105,10 @@ def _nmea(path: Path, text: str, near_ns: int) -> list[GnssFix]:
             continue
         kind = fields[0][-3:]
         if kind == "GST" and len(fields) > 8 and all(fields[6:9]):
-            sigmas[fields[1]] = (float(fields[7]), float(fields[6]), float(fields[8]))
+            try:
+                sigmas[fields[1]] = (float(fields[7]), float(fields[6]), float(fields[8]))
+            except ValueError as error:
+                raise FormatError(path, f"line {number} is no valid GST sentence ({error})") from error
         elif kind == "GGA" and len(fields) > 11:
             rows.append((number, fields))
     last, days = -1.0, 0

@@ -94,7 +94,7 @@ def _numbers(path: Path, found: Mapping[str, Any], key: str, count: int) -> NDAr
         raise ConfigError(f"extrinsic {path}: has no '{key}'")
     try:
         values = np.array(found[key], dtype=np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         values = np.empty(0)
     if values.size != count or not np.isfinite(values).all():
         raise ConfigError(f"extrinsic {path}: '{key}' must be {count} finite numbers")

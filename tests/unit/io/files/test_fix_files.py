@@ -77,3 +77,10 @@ def test_files_that_cannot_be_are_refused_in_one_line(tmp_path, text, message):
     with pytest.raises(FormatError, match=message) as caught:
         read_fixes(path)
     assert "\n" not in str(caught.value)
+
+
+def test_nmea_accuracy_that_is_no_number_names_its_line(tmp_path):
+    path = tmp_path / "fixes.nmea"
+    path.write_text("$GPGST,150640.50,,,,,0.x4,0.02,0.03\n$GPZDA,150640.50,15,06,2025,00,00\n")
+    with pytest.raises(FormatError, match="line 1 is no valid GST"):
+        read_fixes(path)

@@ -86,3 +86,10 @@ def test_file_without_a_mounting_is_one_line(tmp_path, text, words):
 def test_file_that_is_not_there_is_told(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         read_extrinsic(tmp_path / "none.yaml")
+
+
+def test_a_number_beyond_all_is_refused(tmp_path):
+    path = tmp_path / "params.yaml"
+    path.write_text(FAST_LIO.replace("0.1, 0.2", f"{'9' * 400}, 0.2"))
+    with pytest.raises(ConfigError, match="finite numbers"):
+        read_extrinsic(path)
