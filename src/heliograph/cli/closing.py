@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 __all__ = ["check_lines", "closing_lines", "print_closing", "times", "warning_lines"]
+
+ClosingLines: TypeAlias = Callable[[dict[str, Any], Path], list[str]]
 
 
 def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
@@ -108,8 +110,13 @@ def times(count: int, message: str) -> str:
     return "" if count == 1 or str(count) in message.split() else f" ({count} times)"
 
 
-def print_closing(facts: Mapping[str, Any], folder: Path, *, json: bool, quiet: bool) -> None:
-    """Print a run's last lines: warnings to standard error, the rest, or one JSON object, to standard output."""
+def print_closing(
+    facts: dict[str, Any], folder: Path, *, json: bool, quiet: bool, lines: ClosingLines = closing_lines
+) -> None:
+    """Print a run's last lines: warnings to standard error, the rest, or one JSON object, to standard output.
+
+    What the rest is, ``lines`` says; by default `closing_lines`.
+    """
     warnings = warning_lines(facts)
     if json or quiet:
         for line in warnings:
@@ -119,5 +126,5 @@ def print_closing(facts: Mapping[str, Any], folder: Path, *, json: bool, quiet: 
         elif facts["status"] != "ok":
             print(f"status: {facts['status']}; {'; '.join(facts['reasons'])}", file=sys.stderr)
         return
-    for line in (*warnings, *closing_lines(facts, folder)):
+    for line in (*warnings, *lines(facts, folder)):
         print(line)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json as jsonlib
-import sys
 import tempfile
 import time
 from contextlib import ExitStack
@@ -13,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph.cli import options
-from heliograph.cli.closing import warning_lines
+from heliograph.cli.closing import print_closing
 
 if TYPE_CHECKING:
     import numpy as np
@@ -110,7 +108,7 @@ def localize(
         bar = [] if quiet else [ProgressSink(recording.total_scans, name)]
         keyframes = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="heliograph_"))) if extend else None
         pipeline.run(recording, resolved, sinks=[*bar, folder], stop=stop, folder=keyframes)
-        _print(folder.facts, folder.path, json=json, quiet=quiet)
+        print_closing(folder.facts, folder.path, json=json, quiet=quiet, lines=localized_lines)
         if extend is not None and keyframes is not None:
             extend_map(saved_map, keyframes, name, resolved, extend, overwrite=overwrite, quiet=json or quiet)
     if folder.facts["interrupted"] and stop.code:
@@ -194,17 +192,3 @@ def localized_lines(facts: dict[str, Any], folder: Path) -> list[str]:
     lines.append(f"written to {folder}: {', '.join(facts['files'])}")
     lines.append(f"status: {facts['status']}" + "".join(f"; {reason}" for reason in facts["reasons"]))
     return lines
-
-
-def _print(facts: dict[str, Any], folder: Path, *, json: bool, quiet: bool) -> None:
-    warnings = warning_lines(facts)
-    if json or quiet:
-        for line in warnings:
-            print(line, file=sys.stderr)
-        if json:
-            print(jsonlib.dumps(facts, allow_nan=False))
-        elif facts["status"] != "ok":
-            print(f"status: {facts['status']}; {'; '.join(facts['reasons'])}", file=sys.stderr)
-        return
-    for line in (*warnings, *localized_lines(facts, folder)):
-        print(line)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -119,6 +120,8 @@ def _tape(text: str) -> Any:  # noqa: ANN401 - a TapeLength, imported late
     parts = text.split(",")
     try:
         length, *sigma = [float(part) for part in parts[2:]]
+        if len(sigma) > 1 or not all(0.0 < value < math.inf for value in (length, *sigma)):
+            raise ValueError("no length")
         return TapeLength(
             a=parts[0].strip(), b=parts[1].strip(), length=length, **({"sigma": sigma[0]} if sigma else {})
         )

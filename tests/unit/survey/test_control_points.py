@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from heliograph.cli.survey import _tape
 from heliograph.data import ImuBatch, Keyframe, Trajectory
-from heliograph.errors import DataError, HeliographError
+from heliograph.errors import ConfigError, DataError, HeliographError
 from heliograph.graph import Between, Diagonal, FactorGraph, Prior, Symbol, Values, solve
 from heliograph.io.files.clouds import write_cloud
 from heliograph.io.files.poses import read_poses
@@ -184,3 +185,11 @@ def test_points_on_a_line_do_not_place_a_run(tmp_path):
     path.write_text("\n".join([*rows[:3], *rows[6:]]) + "\n")
     with pytest.raises(DataError, match="three are needed"):
         tied(run, read_control_points(path, run), [], SYSTEM)
+
+
+@pytest.mark.parametrize(
+    "text", ["A,B", "A,B,nan", "A,B,-1", "A,B,0", "A,B,1e999", "A,B,2.0,0", "A,B,2.0,nan", "A,B,2,1,1"]
+)
+def test_tapes_that_measure_nothing_are_refused(text):
+    with pytest.raises(ConfigError, match="give two points and metres"):
+        _tape(text)
