@@ -33,6 +33,9 @@ class LocalizationConfig:
         Longest time between them [s].
     placed, tried : int
         Guesses that the detector places, and those of them, the most promising, that are aligned.
+    headings : int
+        Submaps in which a query is placed at every heading: half of them those that the detector finds likeliest, then
+        the others in turn, query by query; 0: in none.
     max_rivals : int
         Rivals beyond which a search ends: the place is ambiguous whatever else there is.
     voxel, levels : float, int
@@ -78,6 +81,7 @@ class LocalizationConfig:
     every_s: float = 1.0
     placed: int = 24
     tried: int = 16
+    headings: int = 24
     max_rivals: int = 3
     voxel: float = 0.25
     levels: int = 4
@@ -102,6 +106,7 @@ class LocalizationConfig:
     def __post_init__(self) -> None:
         check_range(self, "spacing", "reach", "reach_up", "tile", "view", "before", "every", "every_s", above=0.0)
         check_range(self, "members", "placed", "tried", "max_rivals", "agreeing", "lost_scans", low=1)
+        check_range(self, "headings", low=0)
         check_range(self, "levels", low=1, high=8)
         check_range(self, "voxel", "same", "same_deg", "rotation_walk_deg", "position_walk", above=0.0)
         check_range(self, "min_explained", "min_confirmed", "max_seen_through", "matched_share", low=0.0, high=1.0)

@@ -109,7 +109,7 @@ class Localizer:
         if self._start is not None and self._begun_at(query, result):
             return
         known = [T @ T_odom_level for T in self._carried]
-        found = search(query, self.saved, self._config.localization, known=known)
+        found = search(query, self.saved, self._config.localization, known=known, number=len(self.queries))
         rivals = decide(found, self._config.localization)
         self._carried = tuple(place.T_map_level @ se3.inverse(T_odom_level) for place in rivals[:_CARRIED])
         free = any(not place.held for place in rivals)  # somewhere along what it does not see

@@ -13,6 +13,7 @@ from heliograph.cloud import voxel_downsample
 from heliograph.config import AlignConfig, LocalizationConfig, MapConfig, PlacesConfig
 from heliograph.errors import DataError
 from heliograph.lie import se3
+from heliograph.localization.all_headings import HeadingSearch
 from heliograph.localization.standing_places import standing_places
 from heliograph.maps import VoxelMap, transformed
 from heliograph.registration import PreparedCloud, prepare_cloud
@@ -73,6 +74,7 @@ class SavedMap:
         for index, submap in enumerate(self.submaps):
             points = submap.cloud.points
             self.detector.add(index, self.detector.describe(thinned(points)))
+        self.headings = HeadingSearch([thinned(submap.cloud.points) for submap in self.submaps])
         self._positions = np.stack([s.T_map_submap[:3, 3] for s in self.submaps])
         self._headings = np.stack([s.T_map_submap[:3, 0] for s in self.submaps])
 
@@ -85,9 +87,16 @@ class SavedMap:
 
     def nearest_index(self, T_map_imu: Array) -> int:
         """Return the submap whose middle is nearest to a pose; of two as near the one that looks the same way."""
+        return int(np.argmin(self._distances(T_map_imu)))
+
+    def around(self, T_map_imu: Array, count: int) -> tuple[SavedSubmap, ...]:
+        """Return at most ``count`` submaps nearest to a pose in the sense of `nearest_index`, the nearest first."""
+        return tuple(self.submaps[k] for k in np.argsort(self._distances(T_map_imu), kind="stable")[:count])
+
+    def _distances(self, T_map_imu: Array) -> Array:
         off = self._positions - T_map_imu[:3, 3]
         near = np.linalg.norm(off * [1.0, 1.0, 3.0], axis=1)
-        return int(np.argmin(near + 1.0 - self._headings @ T_map_imu[:3, 0]))
+        return np.asarray(near + 1.0 - self._headings @ T_map_imu[:3, 0])
 
 
 def thinned(points: Points) -> Points:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,8 @@ _APART, _APART_DEG = 1.5, 12.0  # guesses nearer than this lead to the same plac
 _PROMISING = 0.75  # share of the best guess's coarse overlap below which a guess is not followed
 _SPARED = 0.9  # margin below a rival within which a place is aligned to the end all the same
 _WORTH = 0.8  # share of what a place must explain at which it is aligned to the end
-_COARSE = 2  # level at which guesses are compared
+_AROUND = 12  # submaps near a known pose, of which the one that overlaps the query most is asked
+_COARSE, _FINER = 2, 1  # levels at which guesses are compared, and again once they are aligned
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,13 +106,14 @@ class MapPlace:
 
 
 def search(
-    query: Query, saved: SavedMap, config: LocalizationConfig, *, known: Sequence[Array] = ()
+    query: Query, saved: SavedMap, config: LocalizationConfig, *, known: Sequence[Array] = (), number: int = 0
 ) -> tuple[MapPlace, ...]:
     """Return the places that explain a query best, the best first, no two of them the same.
 
-    Every submap is asked where in it the query would be; guesses that lead to the same place are one. They are aligned
-    in the order of their promise until they promise less than is needed to be the best place's rival. It ends early
-    where there are more rivals already than need be told apart: that is ambiguous whatever the others say.
+    The detector says where in its likeliest submaps the query would be, and correlation at every heading where in these
+    and in some of the others; guesses that lead to the same place are one. They are aligned in the order of their
+    promise until they promise less than is needed to be the best place's rival. It ends early where there are more
+    rivals already than need be told apart: that is ambiguous whatever the others say.
 
     Parameters
     ----------
@@ -120,16 +122,18 @@ def search(
     config : LocalizationConfig
     known : sequence of (4, 4) float64
         Poses of the levelled frame that are tried in any case, such as those of places found before.
+    number : int
+        Of the query among those that look for one place: each goes through other submaps of a large map.
     """
     found: list[MapPlace] = []
     for T in known:
-        _take(found, weigh(query, saved.nearest(T), T, saved, config, worth=_least(found, config)), config)
-    best = 0.0
-    for count, (promise, submap, T) in enumerate(_guesses(query, saved, config)):
-        best = max(best, promise)
-        if promise < _PROMISING * best or count >= config.tried or _ambiguous(found, config):
-            break
+        submap = max(saved.around(T, _AROUND), key=lambda some: _promise(query, some, T, config, _COARSE))
         _take(found, weigh(query, submap, T, saved, config, worth=_least(found, config)), config)
+    for guess in _improved(query, _guesses(query, saved, config, number), config):
+        if _ambiguous(found, config):
+            break
+        place = weigh(query, guess.submap, guess.T_map_level, saved, config, worth=_least(found, config))
+        _take(found, place, config)
     return tuple(sorted(found, key=lambda place: -place.score))
 
 
@@ -191,24 +195,71 @@ def _explained(query: Query, submap: SavedSubmap, T: Array, saved: SavedMap) -> 
     return float(sums[3]) / max(query.cloud.native.size(0), 1)
 
 
-def _guesses(query: Query, saved: SavedMap, config: LocalizationConfig) -> Iterator[tuple[float, SavedSubmap, Array]]:
-    """Yield promise, submap and pose of the guesses of all submaps, the most promising first, no two the same."""
-    everywhere = np.ones(len(saved), dtype=bool)
-    places = saved.detector.query(thinned(query.cloud.points), allowed=everywhere, top=config.placed)
-    level = min(_COARSE, config.levels - 1)
-    reach = config.voxel * 2.0**level
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Guess:
+    """A place where the query may be, and the share of it that has a counterpart there by large cubes."""
+
+    promise: float
+    submap: SavedSubmap
+    T_map_level: Array
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+def _guesses(query: Query, saved: SavedMap, config: LocalizationConfig, number: int) -> list[_Guess]:
+    """Return the guesses that promise most, at most `tried` of them, no two the same."""
+    points = thinned(query.cloud.points)
+    places = saved.detector.query(points, allowed=np.ones(len(saved), dtype=bool), top=config.placed)
+    placed = [(place.index, place.T_match_query) for place in places]
+    placed += saved.headings.places(points, _looked_through([index for index, _ in placed], len(saved), config, number))
     guesses = []
-    for place in places:
-        submap = saved.submaps[place.index]
-        T = np.ascontiguousarray(place.T_match_query)
-        promise = submap.cloud.native.overlap(level, query.cloud.native, level, T, reach, 1)
-        guesses.append((promise, submap, submap.T_map_submap @ T))
-    guesses.sort(key=lambda guess: -guess[0])
-    told: list[Array] = []
-    for promise, submap, T in guesses:
-        if not any(near(T, other, _APART, _APART_DEG) for other in told):
-            told.append(T)
-            yield promise, submap, T
+    for index, T_submap_level in placed:
+        submap = saved.submaps[index]
+        T = submap.T_map_submap @ T_submap_level
+        promise = _promise(query, submap, T, config, _COARSE)
+        guesses.append(_Guess(promise=promise, submap=submap, T_map_level=T))
+    return _different(guesses, _APART, _APART_DEG)[: config.tried]
+
+
+def _improved(query: Query, guesses: Sequence[_Guess], config: LocalizationConfig) -> list[_Guess]:
+    """Return the guesses aligned by large cubes, those that then promise enough, the most promising first."""
+    out = []
+    levels = range(config.levels - 1, min(_COARSE, config.levels - 1) - 1, -1)
+    for guess in guesses:
+        submap = guess.submap
+        start = np.ascontiguousarray(se3.inverse(submap.T_map_submap) @ guess.T_map_level)
+        fit = fit_levels(submap.cloud, query.cloud, start, "gicp", submap.cloud.config, 1, levels=levels)
+        T = submap.T_map_submap @ fit.T
+        out.append(_Guess(promise=_promise(query, submap, T, config, _FINER), submap=submap, T_map_level=T))
+    return _different(out, config.same, config.same_deg)
+
+
+def _different(guesses: Sequence[_Guess], apart: float, apart_deg: float) -> list[_Guess]:
+    """Return the guesses that promise enough beside the best one, the most promising first, one of a place."""
+    kept: list[_Guess] = []
+    for guess in sorted(guesses, key=lambda guess: -guess.promise):
+        if kept and guess.promise < _PROMISING * kept[0].promise:
+            break
+        if not any(near(guess.T_map_level, other.T_map_level, apart, apart_deg) for other in kept):
+            kept.append(guess)
+    return kept
+
+
+def _promise(query: Query, submap: SavedSubmap, T_map_level: Array, config: LocalizationConfig, level: int) -> float:
+    """Return the share of the query that has a counterpart in a submap, by the cubes of a level."""
+    level = min(level, config.levels - 1)
+    T = np.ascontiguousarray(se3.inverse(submap.T_map_submap) @ T_map_level)
+    return float(submap.cloud.native.overlap(level, query.cloud.native, level, T, config.voxel * 2.0**level, 1))
+
+
+def _looked_through(likely: Sequence[int], count: int, config: LocalizationConfig, number: int) -> list[int]:
+    """Return the submaps in which every heading is tried: half of them the likeliest, then the others in turn."""
+    chosen = list(dict.fromkeys(likely))[: config.headings // 2]
+    others = [index for index in range(count) if index not in set(chosen)]
+    room = min(config.headings - len(chosen), len(others))
+    begin = number * room
+    return chosen + [others[(begin + k) % len(others)] for k in range(room)]
 
 
 def _take(found: list[MapPlace], place: MapPlace | None, config: LocalizationConfig) -> None:
