@@ -2,7 +2,7 @@
 
 A detector's ranking by what does not change under turns and shifts fails where a query saw a part of its surroundings
 only: a narrow field of view, the first scan. Correlation does not mind what else the submap holds, and at a coarse
-resolution all headings of some ten submaps cost a few hundredths of a second.
+resolution all headings of some ten submaps cost a few hundredths of a second: eq. (1) of docs/theory/localization.md.
 """
 
 from __future__ import annotations

@@ -1,10 +1,13 @@
-"""The search for a query's place in a saved map: all that looks like it, the best of it aligned and weighed."""
+"""The search for a query's place in a saved map: all that looks like it, the best of it aligned and weighed.
+
+Numbers of equations are those of docs/theory/localization.md.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,7 +96,7 @@ class MapPlace:
 
     @property
     def score(self) -> float:
-        """What is explained, as far as the scans do not contradict it."""
+        """What is explained, as far as the scans do not contradict it: eq. (4)."""
         return self.explained * math.exp(-_THROUGH * self.seen_through)
 
     def stands(self, config: LocalizationConfig) -> bool:
@@ -129,11 +132,12 @@ def search(
     for T in known:
         submap = max(saved.around(T, _AROUND), key=lambda some: _promise(query, some, T, config, _COARSE))
         _take(found, weigh(query, submap, T, saved, config, worth=_least(found, config)), config)
-    for guess in _improved(query, _guesses(query, saved, config, number), config):
+    guesses = [] if _ambiguous(found, config) else _improved(query, _guesses(query, saved, config, number), config)
+    for guess in guesses:
         if _ambiguous(found, config):
             break
-        place = weigh(query, guess.submap, guess.T_map_level, saved, config, worth=_least(found, config))
-        _take(found, place, config)
+        T, least = guess.T_map_level, _least(found, config)
+        _take(found, weigh(query, guess.submap, T, saved, config, worth=least, top=_FINER), config)
     return tuple(sorted(found, key=lambda place: -place.score))
 
 
@@ -146,6 +150,7 @@ def weigh(
     *,
     moves: bool = True,
     worth: float = 0.0,
+    top: int | None = None,
 ) -> MapPlace | None:
     """Align a query from a guess and return what tells for the place; None where there is no pose.
 
@@ -160,34 +165,44 @@ def weigh(
     moves : bool
         Without it the guess is weighed where it is, and nothing is said of its covariance.
     worth : float
-        Share explained below which a place is not aligned to the end: it is nobody's rival.
+        Score below which a place is not aligned to the end: it is nobody's rival.
+    top : int, optional
+        Level of cubes at which alignment begins; the widest if not given.
     """
     T = np.ascontiguousarray(se3.inverse(submap.T_map_submap) @ T_map_level)
     settings = submap.cloud.config
-    covariance, held = np.zeros((6, 6)), False
-    if moves:
-        T = np.ascontiguousarray(fit_levels(submap.cloud, query.cloud, T, "gicp", settings, 1).T)
-        if _explained(query, submap, T, saved) >= max(worth, _WORTH * config.min_explained):
-            result = align(submap.cloud, query.cloud, start=T, config=settings)
-            if result.T_target_source is None or result.covariance is None:
-                return None
-            T, held = np.ascontiguousarray(result.T_target_source), result.status == "converged"
-            covariance = config.correlation * result.covariance
-    back = np.ascontiguousarray(se3.inverse(T))
+    if not moves:
+        return _place(query, submap, T, saved)
+    levels = range(min(config.levels - 1 if top is None else top, config.levels - 1), -1, -1)
+    T = np.ascontiguousarray(fit_levels(submap.cloud, query.cloud, T, "gicp", settings, 1, levels=levels).T)
+    place = _place(query, submap, T, saved)
+    if place.score < worth or place.explained < _WORTH * config.min_explained:
+        return place
+    result = align(submap.cloud, query.cloud, start=T, config=settings)
+    if result.T_target_source is None or result.covariance is None:
+        return None
+    place = _place(query, submap, np.ascontiguousarray(result.T_target_source), saved)
+    covariance = config.correlation * result.covariance + place.covariance
+    return replace(place, covariance=covariance, held=result.status == "converged")
+
+
+def _place(query: Query, submap: SavedSubmap, T_submap_level: Array, saved: SavedMap) -> MapPlace:
+    """Return what tells for a pose as it is: eqs. (2) and (3); of its covariance only the map's share."""
+    back = np.ascontiguousarray(se3.inverse(T_submap_level))
     seen, expected, through = query.image.sight(query.cloud.native, submap.cloud.native, 0, back, _REACH, 1)
     carry = se3.adjoint(back)
     return MapPlace(
-        T_map_level=submap.T_map_submap @ T,
-        covariance=covariance + carry @ submap.covariance @ carry.T,
-        explained=_explained(query, submap, T, saved),
+        T_map_level=submap.T_map_submap @ T_submap_level,
+        covariance=carry @ submap.covariance @ carry.T,
+        explained=_explained(query, submap, T_submap_level, saved),
         confirmed=seen / max(expected, 1),
         seen_through=through / max(expected, 1),
-        held=held,
+        held=False,
     )
 
 
 def _explained(query: Query, submap: SavedSubmap, T: Array, saved: SavedMap) -> float:
-    """Return the robust weight of the query's matches over the number of its elements."""
+    """Return the robust weight of the query's matches over the number of its elements: eq. (2)."""
     matcher, settings = _core.Matcher(submap.cloud.native, 0, query.cloud.native, 0), submap.cloud.config
     sums = matcher.sums(
         T, METHODS["gicp"], False, _REACH, _KERNEL, settings.sigma, settings.min_cosine, saved.sided, False, 1
@@ -276,7 +291,7 @@ def _take(found: list[MapPlace], place: MapPlace | None, config: LocalizationCon
 
 
 def _least(found: Sequence[MapPlace], config: LocalizationConfig) -> float:
-    """Return what a place must explain at least to be a rival of the best so far."""
+    """Return the score that a place must have at least to be a rival of the best so far."""
     return _SPARED * config.rival * max((place.score for place in found if place.stands(config)), default=0.0)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -31,9 +32,11 @@ def mahalanobis(A: Array, B: Array, covariance: Array) -> float:
 
 
 def near(A: Array, B: Array, distance: float, angle_deg: float) -> bool:
-    """Whether two poses (4, 4) are one to within a distance [m] and an angle [deg]."""
-    d = se3.log(se3.inverse(A) @ B)
-    return bool(np.linalg.norm(d[3:]) <= distance and np.linalg.norm(d[:3]) <= np.radians(angle_deg))
+    """Whether two poses (4, 4) are one to within a distance of their origins [m] and an angle [deg]."""
+    if math.dist(A[:3, 3], B[:3, 3]) > distance:
+        return False
+    cosine = 0.5 * (float(np.vdot(A[:3, :3], B[:3, :3])) - 1.0)
+    return cosine >= math.cos(math.radians(min(angle_deg, 180.0)))
 
 
 def inverse_with_covariance(T_a_b: Array, covariance: Array) -> tuple[Array, Array]:
