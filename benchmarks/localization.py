@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -42,12 +42,14 @@ class Outcomes:
     missed: list[tuple[int, str]] = field(default_factory=list)
     wrong: list[tuple[int, float]] = field(default_factory=list)
     lock_s: list[float] = field(default_factory=list)
+    left_s: list[float] = field(default_factory=list)
     query_s: list[float] = field(default_factory=list)
     errors_m: list[float] = field(default_factory=list)
 
     def facts(self) -> dict[str, Any]:
         """Return the counts and quantiles."""
-        lock, query, error = (np.array(values or [np.nan]) for values in (self.lock_s, self.query_s, self.errors_m))
+        series = self.lock_s, self.query_s, self.errors_m, self.left_s
+        lock, query, error, left = (np.array(values or [np.nan]) for values in series)
         return {
             "kidnaps": self.count,
             "with_partner": self.wanted,
@@ -58,6 +60,7 @@ class Outcomes:
             "wrong": self.wrong[:8],
             "lock_s": [round(float(q), 2) for q in np.quantile(lock, (0.5, 0.9, 1.0))],
             "query_s": [round(float(q), 3) for q in np.quantile(query, (0.5, 0.99, 1.0))],
+            "after_leaving_s": [round(float(q), 2) for q in np.quantile(left, (0.5, 0.9, 1.0))],
             "error_m": [round(float(q), 3) for q in np.quantile(error, (0.5, 0.9, 1.0))],
         }
 
@@ -94,6 +97,7 @@ def _level(T: Array) -> Array:
 def kidnaps(
     saved: SavedMap, keyframes: KeyframeSet, chosen: Sequence[int], *, seconds: float, patience: float, seed: int = 0,
     config: RunConfig | None = None, partner: Sequence[bool] | None = None,
+    inside: Callable[[Array], bool] | None = None,
 ) -> Outcomes:  # fmt: skip
     """Wake up at each of the chosen keyframes and walk on for some seconds.
 
@@ -110,12 +114,15 @@ def kidnaps(
     config : RunConfig, optional
     partner : sequence of bool, optional
         Which of the chosen have a part of the map in view.
+    inside : callable, optional
+        Pose -> whether it is where places look alike: of who wakes up there, the time to the lock is counted from the
+        first keyframe outside.
     """
     out = Outcomes()
     for number, first in enumerate(chosen):
         last = min(len(keyframes), first + 1 + int(patience / seconds))
         localizer = Localizer(saved, config)
-        state, locked = "not localised", False
+        state, locked, left = "not localised", False, -1
         results = scan_results(keyframes, first, last, seconds, seed)
         for k, result in enumerate(results):
             began = time.process_time()
@@ -124,11 +131,15 @@ def kidnaps(
             if len(localizer.queries) > asked:
                 out.query_s.append(time.process_time() - began)
             state = told.state
+            if inside is not None and left < 0 and not inside(keyframes.T_world_imu[first + k]):
+                left = k
             if told.T_map_imu is not None:
                 d = se3.log(se3.inverse(keyframes.T_world_imu[first + k]) @ told.T_map_imu)
                 off, turned = float(np.linalg.norm(d[3:])), float(np.degrees(np.linalg.norm(d[:3])))
                 locked = True
                 out.lock_s.append(seconds * k)
+                if left > 0:
+                    out.left_s.append(seconds * (k - left))
                 if off <= _RIGHT_M and turned <= _RIGHT_DEG:
                     out.right += 1
                     out.errors_m.append(off)
@@ -172,6 +183,7 @@ class _Set:
     cut: int
     seconds: float
     patience: float
+    inside: Callable[[Array], bool] | None = None
 
 
 def _hku(data: Path) -> _Set:
@@ -183,12 +195,23 @@ def _part(keyframes: KeyframeSet, share: float) -> _Set:
     return _Set(keyframes=keyframes, cut=int(share * len(keyframes)), seconds=0.8, patience=12.0)
 
 
+def _in_corridor(T: Array) -> bool:
+    return bool(0.0 < T[0, 3] < worlds.STOREYS_LENGTH)
+
+
+def _alike(keyframes: KeyframeSet) -> _Set:
+    """Return a set of equal corridors: patience enough to walk out of one of 40 m."""
+    cut = int(0.66 * len(keyframes))
+    return _Set(keyframes=keyframes, cut=cut, seconds=0.8, patience=50.0, inside=_in_corridor)
+
+
 SETS = {
     "hku_1": _hku,
-    "building": lambda _: _part(worlds.building(1), 0.66),
-    "corridors": lambda _: _part(worlds.corridors(0), 0.66),
+    "building": lambda _: _alike(worlds.building(1)),
+    "corridors": lambda _: _alike(worlds.corridors(0)),
     "warehouse": lambda _: _part(worlds.warehouse_laps(1), 0.5),
     "street": lambda _: _part(worlds.street_and_back(1), 0.5),
+    "campus": lambda _: _part(worlds.campus_laps(1), 0.5),
 }
 """Name -> what makes the set; the map is its first part, the kidnaps are the rest."""
 
@@ -205,7 +228,15 @@ def measure(name: str, data: Path, *, every: int = 1, bare: bool = False, elsewh
     walker = SETS[elsewhere](data) if elsewhere else some
     chosen = range(walker.cut, len(walker.keyframes) - 3, every)
     there = [False] * len(chosen) if elsewhere else partners(walker.keyframes, walker.cut, chosen)
-    out = kidnaps(saved, walker.keyframes, chosen, seconds=walker.seconds, patience=walker.patience, partner=there)
+    out = kidnaps(
+        saved,
+        walker.keyframes,
+        chosen,
+        seconds=walker.seconds,
+        patience=walker.patience,
+        partner=there,
+        inside=walker.inside,
+    )
     return {"set": name, "bare": bare, "elsewhere": elsewhere, "submaps": len(saved), **out.facts()}
 
 

@@ -187,6 +187,15 @@ def street_and_back(seed: int) -> KeyframeSet:
     return _walk("street", place.world, np.vstack([out, back]), LidarModel(beams=32, columns=512), rng)
 
 
+def campus_laps(seed: int) -> KeyframeSet:
+    """Walk the figure of eight of the campus, 1.1 km, and again 1 m beside it."""
+    rng = np.random.default_rng([6, seed])
+    place = PLACES["campus"](rng)
+    lap = place.course.sample(1.0)[0]
+    beside = lap + np.column_stack([-np.sin(lap[:, 3]), np.cos(lap[:, 3]), np.zeros((len(lap), 2))])
+    return _walk("campus", place.world, np.vstack([lap, beside]), LidarModel(beams=32, columns=512), rng)
+
+
 def facade(seed: int) -> KeyframeSet:
     """Walk along a front with a pillar every 4 m, seen by a narrow view, and never back: there is no loop."""
     rng = np.random.default_rng([4, seed])
