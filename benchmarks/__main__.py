@@ -22,6 +22,7 @@ from benchmarks import (
     kitti,
     lio,
     loam,
+    localization_table,
     loop_misled,
     loops,
     match_scores,
@@ -51,10 +52,11 @@ _ALL = (
     "calibrate",
     *_CLOUDS,
     "loops",
+    "localization",
     "sigmas",
     "match-scores",
 )
-_NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio")
+_NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio", "localization")
 _RUNS = {
     "imu": 20,
     "lio": 5,
@@ -141,7 +143,7 @@ def _graphs(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
 
 
 def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
-    """Run the benchmarks of registration, degeneracy, sigmas, the k-d tree, LOAM and loops."""
+    """Run the benchmarks of registration, degeneracy, sigmas, the k-d tree, LOAM, loops and localisation."""
     rival, work = arguments.rival_bin / "python", arguments.work / "clouds"
 
     def python_of(system: str) -> Path:
@@ -174,6 +176,8 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["loops"]))
         _write("loops", loops.measure_loops(arguments.data.parent / "keyframes", seeds=seeds))
         _write("loop_misled", loop_misled.measure_misled(seeds))
+    if "localization" in wanted:
+        _write("localization", list(localization_table.measure_localization(arguments.data.parent)))
 
 
 def main() -> None:

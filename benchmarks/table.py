@@ -16,6 +16,7 @@ from benchmarks.imu_table import gnss_section, lio_section, preintegration_secti
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.kd_tree import kd_tree_section
 from benchmarks.loam import loam_section
+from benchmarks.localization_table import localization_section
 from benchmarks.loop_misled import misled_section
 from benchmarks.loops import loops_section
 from benchmarks.match_scores import scores_section
@@ -45,6 +46,7 @@ _OTHER_SECTIONS = {
     "kd_tree": kd_tree_section,
     "loops": loops_section,
     "loop_misled": misled_section,
+    "localization": localization_section,
     "match_scores": scores_section,
     "sigmas": sigmas_section,
 }

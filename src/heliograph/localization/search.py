@@ -246,7 +246,9 @@ def _improved(query: Query, guesses: Sequence[_Guess], config: LocalizationConfi
         start = np.ascontiguousarray(se3.inverse(submap.T_map_submap) @ guess.T_map_level)
         fit = fit_levels(submap.cloud, query.cloud, start, "gicp", submap.cloud.config, 1, levels=levels)
         T = submap.T_map_submap @ fit.T
-        out.append(_Guess(promise=_promise(query, submap, T, config, _FINER), submap=submap, T_map_level=T))
+        promise = _promise(query, submap, T, config, _FINER)
+        if promise >= _WORTH * config.min_explained:  # what has no counterpart explains nothing
+            out.append(_Guess(promise=promise, submap=submap, T_map_level=T))
     return _different(out, config.same, config.same_deg)
 
 
