@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from heliograph.account import Account, Clock
+from heliograph.arrays import Stamps
 from heliograph.calibration import align_mounting
 from heliograph.checkpoint import Checkpoints, Keeper
 from heliograph.checks import RunWatch
@@ -128,7 +129,8 @@ def attempt(
     # 0. align the sensors where nothing tells
     rig, found = keeper.mounting or mounted(recording, config, sensors, threads, clock, stop)
     odometry = odometry or chosen_odometry(config, rig, sensors, threads)
-    with back_end(folder, config, sensors, rig, keeper.keyframes) as slam:
+    chosen_ns = odometry.chosen_ns if isinstance(odometry, PoseFileOdometry) else None
+    with back_end(folder, config, sensors, rig, keeper.keyframes, chosen_ns) as slam:
         if speeds is not None:
             slam.observe_speeds(speeds)
         keeper.follow(account, odometry, slam, rig, found)
@@ -174,11 +176,17 @@ def repaired(
 
 @contextmanager
 def back_end(
-    folder: Path | None, config: RunConfig, sensors: frozenset[str], rig: Rig, keyframes: int | None = None
+    folder: Path | None,
+    config: RunConfig,
+    sensors: frozenset[str],
+    rig: Rig,
+    keyframes: int | None = None,
+    chosen_ns: Stamps | None = None,
 ) -> Iterator[SlamSession | NoSlam]:
     """Yield the back-end of a run; without a LiDAR, or where it is switched off, one that does nothing.
 
-    Its store is empty, or holds the ``keyframes`` of a run that is taken up again.
+    Its store is empty, or holds the ``keyframes`` of a run that is taken up again. What another system chose as
+    keyframes, at ``chosen_ns``, are keyframes.
     """
     given = is_pose_file(config.odometry)
     if not config.slam.graph or "lidar" not in sensors:
@@ -189,8 +197,9 @@ def back_end(
         path = folder or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="heliograph_")))
         kept = folder is not None
         session = SlamSession(
-            path, config, poses_given=given, kept=kept, antenna_imu=rig.antenna_imu, keyframes=keyframes
-        )
+            path, config, poses_given=given, chosen_ns=chosen_ns, kept=kept, antenna_imu=rig.antenna_imu,
+            keyframes=keyframes,
+        )  # fmt: skip
         stack.callback(session.release)  # also where the run begins anew, or ends in an error
         yield session
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import Array
+from heliograph.arrays import Array, Stamps
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Scan, ScanResult, Trajectory
 from heliograph.data.error_layout import POSE_DIM, POSITION, ROTATION
@@ -22,6 +22,7 @@ from heliograph.snapshots import Stateful, array
 __all__ = ["PoseFileOdometry"]
 
 _NEAR_NS = 2_000_000  # a pose this close to a scan's stamp is the scan's own
+_CHOSEN_NS = 200_000_000  # poses that come slower than this, as a rule, are another system's keyframes
 _LONGEST_GAP_NS = 1_500_000_000  # poses farther apart are not interpolated
 
 
@@ -66,6 +67,13 @@ class PoseFileOdometry(Odometry, Stateful):
         self._covariance = np.zeros((6, 6))
         self._count = self._left_out = 0
         self._first_left_ns = 0
+
+    @property
+    def chosen_ns(self) -> Stamps:
+        """Times of the poses that are a choice of keyframes, (N,) [ns]: all where they come slowly, else none."""
+        stamps = self._trajectory.stamps_ns
+        slow = len(stamps) > 1 and float(np.median(np.diff(stamps))) > _CHOSEN_NS
+        return stamps if slow else stamps[:0]
 
     def add(self, message: Scan | ImuBatch | GnssFix) -> list[ScanResult]:
         """Return the result of a scan that has a pose; other messages say nothing here."""

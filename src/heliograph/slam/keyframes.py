@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import Array
+from heliograph.arrays import Array, Stamps
 from heliograph.cloud import voxel_downsample
 from heliograph.config import SlamConfig
 from heliograph.data import ImuBatch, Keyframe, ScanResult
@@ -23,6 +23,7 @@ __all__ = ["KeyframeSelector"]
 
 _NEAR_M, _CUBE_M = 15.0, 1.0  # points are compared up to this distance, in cubes of this edge
 _COMPARED, _FEWEST = 2000, 100  # of them at most, and at least
+_SAME_NS = 2_000_000  # a cloud this close to a chosen time is the one that was chosen
 _OTHERS_NS = 200_000_000  # clouds that come slower than this are another system's keyframes
 
 
@@ -36,6 +37,8 @@ class KeyframeSelector(Stateful):
     config : SlamConfig
     poses_given : bool
         Whether the poses are another system's: clouds that come slower than five times a second are its keyframes.
+    chosen_ns : (N,) int64, optional
+        Times, sorted, of clouds that another system chose as keyframes, however close together [ns].
     """
 
     _STATE: ClassVar = {
@@ -45,8 +48,9 @@ class KeyframeSelector(Stateful):
         "_count": int,
     }
 
-    def __init__(self, config: SlamConfig, *, poses_given: bool = False) -> None:
+    def __init__(self, config: SlamConfig, *, poses_given: bool = False, chosen_ns: Stamps | None = None) -> None:
         self._config, self._poses_given = config, poses_given
+        self._chosen_ns = np.zeros(0, dtype=np.int64) if chosen_ns is None else chosen_ns
         self._imu = ImuBuffer()
         self._last: ScanResult | None = None
         self._seen = np.zeros(0, dtype=np.int64)  # cubes that the last keyframe's scan saw, sorted
@@ -88,6 +92,8 @@ class KeyframeSelector(Stateful):
             return True
         if self._poses_given and result.end_ns - last.end_ns > _OTHERS_NS:
             return True
+        if self._is_chosen(result.end_ns):
+            return True
         step = se3.local(last.T_odom_imu, result.T_odom_imu)
         return bool(
             np.linalg.norm(result.T_odom_imu[:3, 3] - last.T_odom_imu[:3, 3]) >= config.keyframe_distance
@@ -95,6 +101,10 @@ class KeyframeSelector(Stateful):
             or result.end_ns - last.end_ns >= 1e9 * config.keyframe_interval
             or self._overlap(result, last.T_odom_imu) < config.keyframe_overlap
         )
+
+    def _is_chosen(self, stamp_ns: int) -> bool:
+        at = int(np.searchsorted(self._chosen_ns, stamp_ns - _SAME_NS))
+        return at < len(self._chosen_ns) and bool(self._chosen_ns[at] <= stamp_ns + _SAME_NS)
 
     def _overlap(self, result: ScanResult, T_odom_last: Array) -> float:
         """Return the share of what a scan sees near by that the last keyframe's saw; 1 where either saw too little."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import Array
+from heliograph.arrays import Array, Stamps
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, GraphAccount, ImuBatch, Message, ScanResult, WheelSpeeds
 from heliograph.errors import DataError
@@ -55,6 +55,8 @@ class SlamSession:
     config : RunConfig
     poses_given : bool
         Whether the poses are another system's: clouds that come slowly are then its keyframes.
+    chosen_ns : (N,) int64, optional
+        Times of the clouds that the other system chose as keyframes, sorted [ns].
     kept : bool
         Whether the folder stays, and the graph's files are written into it.
     antenna_imu : (3,) float64, optional
@@ -69,6 +71,7 @@ class SlamSession:
         config: RunConfig,
         *,
         poses_given: bool = False,
+        chosen_ns: Stamps | None = None,
         kept: bool = True,
         antenna_imu: Array | None = None,
         keyframes: int | None = None,
@@ -77,7 +80,7 @@ class SlamSession:
         self.events: list[Event] = []
         self._folder = folder if kept else None
         self._given = GivenPoses(config.loops) if poses_given else None
-        self._selector = KeyframeSelector(config.slam, poses_given=poses_given)
+        self._selector = KeyframeSelector(config.slam, poses_given=poses_given, chosen_ns=chosen_ns)
         path = folder / KEYFRAMES
         self.store = KeyframeStore.create(path) if keyframes is None else KeyframeStore.cut(path, keyframes)
         self.fixes = GnssFactors(config, antenna_imu)

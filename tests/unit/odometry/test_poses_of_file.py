@@ -103,3 +103,10 @@ def test_number_of_times_that_differs_is_one_line(tmp_path):
 @pytest.mark.parametrize(("name", "file"), [("filter", False), ("loam", False), ("a/b.tum", True), ("poses.txt", True)])
 def test_name_of_an_odometry_is_told_from_a_file(name, file):
     assert is_pose_file(name) == file
+
+
+def test_poses_that_come_slowly_are_a_choice_of_keyframes():
+    slow = [0.0, 0.4, 0.5, 1.0, 1.4]  # a quick one among them too
+    np.testing.assert_array_equal(odometry(slow).chosen_ns, trajectory(slow).stamps_ns)
+    assert len(odometry([0.1 * k for k in range(8)]).chosen_ns) == 0
+    assert len(odometry([1.0]).chosen_ns) == 0

@@ -68,3 +68,11 @@ def test_scan_that_sees_little_near_by_is_none_for_that(rng):
     moves = along(0.0, 0.3)
     clouds = [room(rng, np.zeros(3)), room(rng, [6.5, 0.0, 0.0])[:50]]
     assert picked(moves, clouds) == [True, False]
+
+
+def test_what_another_system_chose_is_a_keyframe_however_close(rng):
+    cloud, seconds = room(rng, np.zeros(3)), [0.0, 0.1, 0.15, 0.25]
+    chosen = NS + np.array([0, 1, 10**6 * 250], dtype=np.int64) + [0, 100_000_000, 0]
+    selector = KeyframeSelector(SlamConfig(), poses_given=True, chosen_ns=chosen)
+    rows = [selector.add(result(k, s, np.eye(4), cloud)) is not None for k, s in enumerate(seconds)]
+    assert rows == [True, True, False, True]
