@@ -30,6 +30,7 @@ _APART, _APART_DEG = 1.5, 12.0  # guesses nearer than this lead to the same plac
 _PROMISING = 0.75  # share of the best guess's coarse overlap below which a guess is not followed
 _SPARED = 0.9  # margin below a rival within which a place is aligned to the end all the same
 _WORTH = 0.8  # share of what a place must explain at which it is aligned to the end
+_HOPELESS = 6  # the most promising guesses, none of which stands: the others do not either
 _AROUND = 12  # submaps near a known pose, of which the one that overlaps the query most is asked
 _COARSE, _FINER = 2, 1  # levels at which guesses are compared, and again once they are aligned
 
@@ -116,7 +117,8 @@ def search(
     The detector says where in its likeliest submaps the query would be, and correlation at every heading where in these
     and in some of the others; guesses that lead to the same place are one. They are aligned in the order of their
     promise until they promise less than is needed to be the best place's rival. It ends early where there are more
-    rivals already than need be told apart: that is ambiguous whatever the others say.
+    rivals already than need be told apart: that is ambiguous whatever the others say; and where none of the most
+    promising ones stands.
 
     Parameters
     ----------
@@ -133,8 +135,9 @@ def search(
         submap = max(saved.around(T, _AROUND), key=lambda some: _promise(query, some, T, config, _COARSE))
         _take(found, weigh(query, submap, T, saved, config, worth=_least(found, config)), config)
     guesses = [] if _ambiguous(found, config) else _improved(query, _guesses(query, saved, config, number), config)
-    for guess in guesses:
-        if _ambiguous(found, config):
+    for count, guess in enumerate(guesses):
+        hopeless = count >= _HOPELESS and not any(place.stands(config) for place in found)
+        if hopeless or _ambiguous(found, config):
             break
         T, least = guess.T_map_level, _least(found, config)
         _take(found, weigh(query, guess.submap, T, saved, config, worth=least, top=_FINER), config)
