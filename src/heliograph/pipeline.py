@@ -35,6 +35,7 @@ from heliograph.io.files.fixes import read_fixes
 from heliograph.io.files.poses import is_pose_file, read_poses
 from heliograph.io.files.wheels import read_wheel_speeds
 from heliograph.io.prefetch import prefetch
+from heliograph.io.recording import Recording
 from heliograph.odometry import Odometry, PoseFileOdometry, make_odometry
 from heliograph.output.sink import Sink
 from heliograph.output.summary import RunSummary
@@ -85,7 +86,7 @@ def run(
     """
     if config.gnss.use and config.gnss.file:
         read_fixes(config.gnss.file, near_ns=1)  # what is wrong with it is told before the work begins
-    speeds = wheel_speeds(config)
+    speeds = wheel_speeds(recording, config)
     clock, source, repairs = Clock(opening_seconds), recording, tuple[SensorRepair, ...]()
     mends = config.input.repair and odometry is None and not is_pose_file(config.odometry)
     earlier = None if checkpoints is None else checkpoints.found
@@ -276,8 +277,12 @@ def thread_count(config: RunConfig) -> int:
     return config.threads or min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2)
 
 
-def wheel_speeds(config: RunConfig) -> WheelSpeeds | None:
-    """Return the speeds of the file beside the recording, on the recording's clock; None where none is named."""
+def wheel_speeds(recording: Source, config: RunConfig) -> WheelSpeeds | None:
+    """Return the speeds of a topic, or of the file beside the recording, on its clock; None where none is named."""
+    if config.wheels.topic and not config.wheels.file:
+        if not isinstance(recording, Recording):
+            raise DataError(f"wheels.topic {config.wheels.topic}: a live source has none; give wheels.file")
+        return recording.speeds(config.wheels)
     if not config.wheels.file:
         return None
     speeds, late_ns = read_wheel_speeds(config.wheels.file), round(1e9 * config.wheels.clock_offset)

@@ -40,7 +40,7 @@ CHECKED = {
     Trajectory: {"stamps_ns": STAMPS, "T_frame_body": POSES},
     GnssFix: {"covariance_enu": np.eye(3)},
     Georeference: {"origin_deg": np.zeros(3), "T_map_enu": np.eye(4), "covariance": np.eye(6)},
-    WheelSpeeds: {"stamps_ns": STAMPS, "v_body": np.zeros((2, 3))},
+    WheelSpeeds: {"stamps_ns": STAMPS, "v_body": np.zeros((2, 3)), "T_imu_vehicle": np.eye(4)},
     Rig: {"T_imu_lidar": np.eye(4), "antenna_imu": np.zeros(3)},
     Scan: {
         "points": np.zeros((2, 3), np.float32),

@@ -132,6 +132,14 @@ def input_options(
     }
 
 
+def wheel_options(given: str | None) -> dict[str, Any]:
+    """Return what ``--wheels`` names: a file that is there, or else a topic where it looks like one."""
+    if given is None:
+        return {}
+    is_topic = given.startswith("/") and not Path(given).exists()
+    return {"file": "", "topic": given} if is_topic else {"file": given, "topic": ""}
+
+
 def sensor_list(text: str | None) -> str | None:
     """Return ``"imu, lidar"`` as ``"lidar,imu"``: the order in which they are named does not matter."""
     if text is None or text == "auto":

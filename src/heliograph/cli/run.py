@@ -61,7 +61,10 @@ def run(
         ),
     ] = None,
     wheels: Annotated[
-        Path | None, typer.Option("--wheels", metavar="FILE", help="Speeds of wheels or legs, a CSV: stamp,vx[,vy,vz].")
+        str | None,
+        typer.Option(
+            "--wheels", metavar="FILE|TOPIC", help="Speeds of wheels or legs: a CSV stamp,vx[,vy,vz], or a topic."
+        ),
     ] = None,
     crs: Annotated[
         str | None,
@@ -87,7 +90,7 @@ def run(
             "repair": False if no_repair else None,
         },
         slam={"graph": False if no_graph else None, "loops": False if no_loops else None},
-        wheels={"file": None if wheels is None else str(wheels)},
+        wheels=options.wheel_options(wheels),
         gnss={"use": False if no_gnss else None, "file": None if gnss is None else str(gnss)},
         output={
             "body": frame,

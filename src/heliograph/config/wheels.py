@@ -17,10 +17,17 @@ class WheelConfig:
     ----------
     file : str
         Speeds from a CSV beside the recording, see docs/howto/wheels.md; empty: none.
+    topic : str
+        Speeds from a topic of the recording: Odometry, TwistStamped, TwistWithCovarianceStamped or JointState; empty:
+        none. None is taken by itself: an Odometry may be another estimator's, and hold this recording's LiDAR.
+    joints : tuple of str
+        Joints of a JointState whose mean rate, times `radius`, is the forward speed; a ``-`` before a name turns it.
+    radius : float
+        Radius of the wheels that those joints turn [m].
     clock_offset : float
-        What the file's clock shows more than the recording's [s].
+        What the speeds' clock shows more than the recording's [s].
     yaw_deg : float
-        Heading of the vehicle's forward axis in the imu frame [deg].
+        Heading of the vehicle's forward axis in the imu frame [deg]; given, it goes before the recording's tf.
     lever_arm : (float, float, float)
         The point whose speed is measured, in the imu frame [m].
     speed_sigma : float
@@ -34,6 +41,9 @@ class WheelConfig:
     """
 
     file: str = ""
+    topic: str = ""
+    joints: tuple[str, ...] = ()
+    radius: float = 0.0
     clock_offset: float = 0.0
     yaw_deg: float = 0.0
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -44,4 +54,5 @@ class WheelConfig:
 
     def __post_init__(self) -> None:
         check_range(self, "speed_sigma", "lateral_sigma", "scale_sigma", above=0.0)
+        check_range(self, "radius", low=0.0, high=10.0)
         check_range(self, "slip_probability", above=0.5, below=1.0)

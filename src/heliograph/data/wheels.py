@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +24,25 @@ class WheelSpeeds:
         Forward, left, up, in axes of the vehicle [m/s]; NaN in what is not measured.
     received_ns : int
         When the last of them came [ns].
+    sigma : (3,) float64
+        What the source says of their noise, one-sigma; 0: nothing [m/s].
+    T_imu_vehicle : (4, 4) float64, optional
+        The vehicle's axes and the point whose speed it is, where the recording tells them.
     """
 
     stamps_ns: NDArray[np.int64]
     v_body: NDArray[np.float64]
     received_ns: int
+    sigma: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    T_imu_vehicle: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stamps_ns", frozen("stamps_ns", self.stamps_ns, np.int64, (None,)))
         object.__setattr__(self, "v_body", frozen("v_body", self.v_body, np.float64, (len(self.stamps_ns), 3)))
+        object.__setattr__(self, "sigma", frozen("sigma", self.sigma, np.float64, (3,)))
+        if self.T_imu_vehicle is not None:
+            T = frozen("T_imu_vehicle", self.T_imu_vehicle, np.float64, (4, 4))
+            object.__setattr__(self, "T_imu_vehicle", T)
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

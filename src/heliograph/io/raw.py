@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -14,7 +14,17 @@ from heliograph.data import Event
 from heliograph.errors import FormatError
 from heliograph.guard.boundary import outside_each
 
-__all__ = ["RawCloud", "RawFix", "RawImu", "RawMessage", "RawSource", "RawTransform", "TopicInfo", "until_damage"]
+__all__ = [
+    "RawCloud",
+    "RawFix",
+    "RawImu",
+    "RawMessage",
+    "RawSource",
+    "RawSpeed",
+    "RawTransform",
+    "TopicInfo",
+    "until_damage",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +82,28 @@ class RawFix:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RawSpeed:
+    """One speed by wheels or legs: of a body in its own axes [m/s], or how fast joints turn.
+
+    ``frame_id`` is the body's. ``v_body`` is NaN where the message has joints instead; ``joints`` are then their rates
+    by name. ``sigma`` is what the message says of its own noise, one-sigma; zeros: nothing. ``position`` is the body's
+    in a frame of the message's own, where it has one [m].
+    """
+
+    topic: str
+    received_ns: int
+    stamp_ns: int
+    frame_id: str
+    v_body: NDArray[np.float64]
+    sigma: NDArray[np.float64]
+    position: NDArray[np.float64] | None = None
+    joints: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RawTransform:
     """One tf edge: ``p_parent = T_parent_child @ p_child``."""
 
@@ -86,14 +118,14 @@ class RawTransform:
         freeze(self)
 
 
-RawMessage = RawCloud | RawImu | RawFix | RawTransform
+RawMessage = RawCloud | RawImu | RawFix | RawSpeed | RawTransform
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicInfo:
     """A topic of the container.
 
-    ``kind`` is ``"lidar"``, ``"imu"``, ``"gnss"``, ``"tf"``, ``"lidar-packets"`` or ``"other"``.
+    ``kind`` is ``"lidar"``, ``"imu"``, ``"gnss"``, ``"speed"``, ``"tf"``, ``"lidar-packets"`` or ``"other"``.
     """
 
     name: str

@@ -13,8 +13,8 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.config import InputConfig
-from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, ImuRecord, Message, Rig, Scan
+from heliograph.config import InputConfig, WheelConfig
+from heliograph.data import Event, GnssFix, ImuBatch, ImuClock, ImuRecord, Message, Rig, Scan, WheelSpeeds
 from heliograph.errors import CalibrationError, ConfigError, DataError, closest
 from heliograph.guard.limits import ReadLimits
 from heliograph.io.bags.rosbag import RosbagSource
@@ -24,8 +24,9 @@ from heliograph.io.inference.imu_units import is_usable
 from heliograph.io.inference.interpret import Interpretation, interpret
 from heliograph.io.inference.record import Inference
 from heliograph.io.inference.scans import to_scan
+from heliograph.io.inference.speeds import require_speed_topic, to_speeds
 from heliograph.io.inference.sweeps import SweepJoiner
-from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo, until_damage
+from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, RawSpeed, TopicInfo, until_damage
 from heliograph.io.registry import open_raw_source
 from heliograph.io.tally import LATE_NS, StreamTally
 
@@ -267,6 +268,25 @@ class Recording:
         for message in self._messages(frozenset({topic} if topic else ())):
             if isinstance(message, RawImu):
                 yield message
+
+    def speeds(self, config: WheelConfig) -> WheelSpeeds:
+        """Read the speeds of ``config.topic``, that topic alone, with their mounting where the transforms tell it.
+
+        Raises
+        ------
+        TopicError
+            There is no such topic, or it holds no speeds.
+        ConfigError, DataError
+            They cannot be used; see `heliograph.config.WheelConfig`.
+        """
+        require_speed_topic(self.topics, config.topic)
+        messages = [m for m in self._messages(frozenset({config.topic})) if isinstance(m, RawSpeed)]
+        try:
+            frame = messages[0].frame_id if messages else ""
+            T_imu_vehicle = np.ascontiguousarray(self.transform(frame)) if frame else None
+        except CalibrationError:
+            T_imu_vehicle = None
+        return to_speeds(messages, config, T_imu_vehicle)
 
     def imu_record(self, watch: Callable[[str, int], None] = lambda _what, _done: None) -> ImuRecord:
         """Read the IMU once through and return all its messages as they were recorded.

@@ -108,6 +108,29 @@ class Messages:
         )
         return self.store.serialize_cdr(message, "sensor_msgs/msg/NavSatFix")
 
+    def odometry(self, stamp_ns: int, v_body: NDArray[np.float64], frame: str) -> bytes | memoryview:
+        """Return an Odometry whose twist is a speed (3,); what is not measured is zero, as drivers write it."""
+        point, quaternion = self._types["geometry_msgs/msg/Point"], self._types["geometry_msgs/msg/Quaternion"]
+        vector, unknown = self._types["geometry_msgs/msg/Vector3"], np.zeros(36)
+        x, y, z = np.nan_to_num(v_body).tolist()
+        message = self._types["nav_msgs/msg/Odometry"](
+            header=self._header(stamp_ns, "wheel_odom"),
+            child_frame_id=frame,
+            pose=self._types["geometry_msgs/msg/PoseWithCovariance"](
+                pose=self._types["geometry_msgs/msg/Pose"](
+                    position=point(x=0.0, y=0.0, z=0.0), orientation=quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+                ),
+                covariance=unknown,
+            ),
+            twist=self._types["geometry_msgs/msg/TwistWithCovariance"](
+                twist=self._types["geometry_msgs/msg/Twist"](
+                    linear=vector(x=x, y=y, z=z), angular=vector(x=0.0, y=0.0, z=0.0)
+                ),
+                covariance=unknown,
+            ),
+        )
+        return self.store.serialize_cdr(message, "nav_msgs/msg/Odometry")
+
     def transforms(self, stamp_ns: int, edges: Sequence[tuple[str, str, NDArray[np.float64]]]) -> bytes | memoryview:
         """Return a TFMessage of (parent, child, T_parent_child)."""
         vector, quaternion = self._types["geometry_msgs/msg/Vector3"], self._types["geometry_msgs/msg/Quaternion"]

@@ -78,7 +78,9 @@ class SpeedLog:
         seconds = 1e-9 * (stamps_ns - stamps_ns[0]) if n else np.zeros(0)
         slipping = np.zeros(n, dtype=bool)
         length = float(seconds[-1]) if n else 0.0
-        for start in np.sort(rng.uniform(_CLEAR * length, (1.0 - _CLEAR) * length - model.slip_duration, model.slips)):
+        first = _CLEAR * length
+        last = max(first, (1.0 - _CLEAR) * length - model.slip_duration)
+        for start in np.sort(rng.uniform(first, last, model.slips)):
             slipping |= (seconds >= start) & (seconds < start + model.slip_duration)
         measured[slipping, 0] *= 1.0 + model.slip_size
         if model.legs:

@@ -31,6 +31,7 @@ _TYPES = {
     "/gnss/fix": "sensor_msgs/msg/NavSatFix",
 }
 _POINTS = "/points"
+_WHEELS = "/wheels/odometry"
 _IMU_FRAME = "imu_link"
 _BODY_FRAME = "base_link"
 _ANTENNA_FRAME = "gnss"
@@ -167,6 +168,8 @@ def _write_bag(
     pending: deque[Future[None]] = deque()
     with writer, ThreadPoolExecutor(max_workers=1) as pool:
         types = {**_TYPES, _POINTS: layout.message_type}
+        if simulation.scenario.wheels.rate > 0.0:
+            types[_WHEELS] = "nav_msgs/msg/Odometry"
         connections = {
             topic: writer.add_connection(
                 topic,
@@ -180,6 +183,7 @@ def _write_bag(
             _transforms(simulation, layout, messages),
             _inertial(simulation, messages),
             _fixes(simulation, messages),
+            _speeds(simulation, messages),
             _clouds(simulation, layout, messages),
             key=lambda message: message[:2],
         ):
@@ -237,6 +241,14 @@ def _inertial(simulation: Simulation, messages: Messages) -> Iterator[_Message]:
 def _fixes(simulation: Simulation, messages: Messages) -> Iterator[_Message]:
     for fix in simulation.fixes():
         yield fix.received_ns, 2, "/gnss/fix", messages.fix(fix)
+
+
+def _speeds(simulation: Simulation, messages: Messages) -> Iterator[_Message]:
+    if simulation.scenario.wheels.rate == 0.0:
+        return
+    log = simulation.wheels()
+    for stamp_ns, v_body in zip(log.stamps_ns.tolist(), log.v_body, strict=True):
+        yield stamp_ns, 4, _WHEELS, messages.odometry(stamp_ns, v_body, _BODY_FRAME)
 
 
 def _clouds(simulation: Simulation, layout: SimulatedLayout, messages: Messages) -> Iterator[_Message]:

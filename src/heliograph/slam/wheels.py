@@ -54,6 +54,8 @@ class WheelFactors(Stateful):
         self._v: Array = np.zeros((0, 3))
         self._measured: Mask = np.zeros(3, dtype=bool)
         self._arm = np.array(config.wheels.lever_arm)
+        self._turn = so3.from_rpy(0.0, 0.0, math.radians(config.wheels.yaw_deg))
+        self._sigma: Array = np.zeros(3)
         self._gate = chi_square_quantile(config.wheels.slip_probability, 1)
         self.steps = self.slips = 0
         self._slipped_ns: list[int] = []
@@ -67,8 +69,10 @@ class WheelFactors(Stateful):
 
     def observe(self, speeds: WheelSpeeds) -> None:
         """Take speeds that follow those before."""
-        turn = so3.from_rpy(0.0, 0.0, math.radians(self._config.yaw_deg))
-        v = np.where(np.isfinite(speeds.v_body), speeds.v_body, 0.0) @ turn.T
+        if speeds.T_imu_vehicle is not None and not (self._config.yaw_deg or any(self._config.lever_arm)):
+            self._turn, self._arm = speeds.T_imu_vehicle[:3, :3], speeds.T_imu_vehicle[:3, 3]
+        v = np.where(np.isfinite(speeds.v_body), speeds.v_body, 0.0) @ self._turn.T
+        self._sigma = np.asarray(speeds.sigma)
         self._stamps = np.concatenate([self._stamps, speeds.stamps_ns])
         self._v = np.concatenate([self._v, v])
         self._measured = np.asarray(np.isfinite(speeds.v_body).any(axis=0), dtype=bool)
@@ -161,11 +165,9 @@ class WheelFactors(Stateful):
     def _covariance(self, duration_ns: int) -> Array:
         """Return the covariance (3, 3) of a way, imu axes."""
         seconds = 1e-9 * duration_ns
-        along = self._config.speed_sigma * math.sqrt(seconds * min(_WHITE, seconds))
-        across = self._config.lateral_sigma * math.sqrt(seconds * min(_WHITE, seconds))
-        sigma = np.where(self._measured, along, across)
-        turn = so3.from_rpy(0.0, 0.0, math.radians(self._config.yaw_deg))
-        return np.asarray(turn @ np.diag(sigma**2) @ turn.T)
+        speed = np.maximum(self._sigma, self._config.speed_sigma)  # what a driver says of itself only makes it worse
+        sigma = np.where(self._measured, speed, self._config.lateral_sigma) * math.sqrt(seconds * min(_WHITE, seconds))
+        return np.asarray(self._turn @ np.diag(sigma**2) @ self._turn.T)
 
     def _slips(
         self,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import DataError
-from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawTransform
+from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSpeed, RawTransform
 
 __all__ = ["DECODERS", "KINDS", "Decoder", "point_columns"]
 
@@ -24,6 +24,7 @@ Decoder = Callable[[str, int, memoryview, str], list[RawMessage]]
 """Topic, time received [ns], payload, encoding -> raw records (one, or one an edge for tf)."""
 
 MAX_TRANSFORM_M = 1e9  # [m]
+MAX_VARIANCE = 1e4  # of a speed; drivers write 1e6 and more for an axis that is not measured [m^2/s^2]
 _ORDER_SAMPLES = 100  # points that tell the byte order
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 LIVOX_COLUMNS = {
@@ -258,6 +259,76 @@ def _decode_fix(topic: str, received_ns: int, payload: memoryview, encoding: str
     ]
 
 
+def _decode_odometry(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+    """``nav_msgs/Odometry``: the twist, which is in the child frame; of the pose only the position."""
+    cursor = _Cursor(payload, encoding)
+    stamp_ns, _ = cursor.header()
+    child = cursor.text()
+    v = cursor.take("85d", 8)  # pose, its covariance, twist, its covariance
+    return [_speed(topic, received_ns, stamp_ns, child, v[43:46], v[49:], position=v[:3])]
+
+
+def _decode_twist(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+    """``geometry_msgs/TwistStamped``."""
+    cursor = _Cursor(payload, encoding)
+    stamp_ns, frame = cursor.header()
+    return [_speed(topic, received_ns, stamp_ns, frame, cursor.take("6d", 8)[:3])]
+
+
+def _decode_sure_twist(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+    """``geometry_msgs/TwistWithCovarianceStamped``."""
+    cursor = _Cursor(payload, encoding)
+    stamp_ns, frame = cursor.header()
+    v = cursor.take("42d", 8)
+    return [_speed(topic, received_ns, stamp_ns, frame, v[:3], v[6:])]
+
+
+def _speed(
+    topic: str,
+    received_ns: int,
+    stamp_ns: int,
+    frame: str,
+    v_body: tuple[float, ...],
+    covariance: tuple[float, ...] = (0.0,) * 36,
+    position: tuple[float, ...] | None = None,
+) -> RawSpeed:
+    variance = np.array([covariance[0], covariance[7], covariance[14]], dtype=np.float64)
+    told = np.isfinite(variance) & (variance > 0.0) & (variance < MAX_VARIANCE)
+    return RawSpeed(
+        topic=topic,
+        received_ns=received_ns,
+        stamp_ns=stamp_ns,
+        frame_id=frame.lstrip("/"),
+        v_body=np.array(v_body, dtype=np.float64),
+        sigma=np.sqrt(np.where(told, variance, 0.0)),
+        position=None if position is None else np.array(position, dtype=np.float64),
+    )
+
+
+def _decode_joints(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
+    """``sensor_msgs/JointState``: how fast each joint turns."""
+    cursor = _Cursor(payload, encoding)
+    stamp_ns, frame = cursor.header()
+    names = [cursor.text() for _ in range(cursor.integer("I", 4))]
+    rates: tuple[float, ...] = ()
+    for _ in ("position", "velocity"):
+        count = cursor.integer("I", 4)
+        rates = cursor.take(f"{count}d", 8) if count else ()
+    if rates and len(rates) != len(names):
+        raise DataError(f"{len(names)} joints with {len(rates)} velocities")
+    return [
+        RawSpeed(
+            topic=topic,
+            received_ns=received_ns,
+            stamp_ns=stamp_ns,
+            frame_id=frame.lstrip("/"),
+            v_body=np.full(3, np.nan),
+            sigma=np.zeros(3),
+            joints=dict(zip(names, rates, strict=False)),
+        )
+    ]
+
+
 def _decode_tf(topic: str, received_ns: int, payload: memoryview, encoding: str) -> list[RawMessage]:
     """``tf2_msgs/TFMessage``."""
     cursor = _Cursor(payload, encoding)
@@ -306,6 +377,10 @@ DECODERS: dict[str, Decoder] = {
     "livox_interfaces/msg/CustomMsg": _decode_livox,
     "sensor_msgs/msg/Imu": _decode_imu,
     "sensor_msgs/msg/NavSatFix": _decode_fix,
+    "nav_msgs/msg/Odometry": _decode_odometry,
+    "geometry_msgs/msg/TwistStamped": _decode_twist,
+    "geometry_msgs/msg/TwistWithCovarianceStamped": _decode_sure_twist,
+    "sensor_msgs/msg/JointState": _decode_joints,
     "tf2_msgs/msg/TFMessage": _decode_tf,
     "tf/msg/tfMessage": _decode_tf,
 }
@@ -318,6 +393,10 @@ KINDS: dict[str, str] = {
     "livox_interfaces/msg/CustomMsg": "lidar",
     "sensor_msgs/msg/Imu": "imu",
     "sensor_msgs/msg/NavSatFix": "gnss",
+    "nav_msgs/msg/Odometry": "speed",
+    "geometry_msgs/msg/TwistStamped": "speed",
+    "geometry_msgs/msg/TwistWithCovarianceStamped": "speed",
+    "sensor_msgs/msg/JointState": "speed",
     "tf2_msgs/msg/TFMessage": "tf",
     "tf/msg/tfMessage": "tf",
 }

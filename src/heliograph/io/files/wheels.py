@@ -10,9 +10,9 @@ from heliograph.data import WheelSpeeds
 from heliograph.errors import FormatError
 from heliograph.io.files.table import read_table
 
-__all__ = ["read_wheel_speeds"]
+__all__ = ["FASTEST", "read_wheel_speeds"]
 
-_FASTEST = 100.0  # [m/s]
+FASTEST = 100.0  # [m/s]
 
 
 def read_wheel_speeds(path: Path | str) -> WheelSpeeds:
@@ -35,6 +35,6 @@ def read_wheel_speeds(path: Path | str) -> WheelSpeeds:
     if (np.diff(stamps) <= 0).any():
         line = table.lines[int(np.flatnonzero(np.diff(stamps) <= 0)[0]) + 1]
         raise FormatError(path, f"line {line}: its stamp is not later than the one before; sort the rows, drop repeats")
-    if np.nanmax(np.abs(v)) > _FASTEST:
+    if np.nanmax(np.abs(v)) > FASTEST:
         raise FormatError(path, f"holds speeds of up to {np.nanmax(np.abs(v)):.0f} m/s: give metres a second")
     return WheelSpeeds(stamps_ns=stamps, v_body=v, received_ns=int(stamps[-1]))

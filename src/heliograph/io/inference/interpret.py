@@ -117,7 +117,7 @@ class _Probe:
             samples = self.samples.setdefault(message.topic, [])
             if len(samples) < PROBE_SAMPLES:
                 samples.append(message)
-        else:
+        elif isinstance(message, RawFix):
             self.fixes.setdefault(message.topic, []).append(message)
 
 
