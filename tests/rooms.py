@@ -74,6 +74,7 @@ ALLOWED: dict[str, set[str]] = {
     "repair": COMMON | SLAM | {"calibration", "checks", "examination"},
     "report": COMMON | SENSING | {"imu", "io", "calibration", "output", "checks", "metrics"},
     "lab": COMMON | SLAM | {"sim", "metrics", "slam"},
+    "viewer": COMMON | SLAM | {"slam", "io", "output", "revision"},
     "cli": COMMON
     | SLAM
     | {"slam", "io", "sim", "metrics", "checks", "examination", "calibration", "output", "pipeline", "report"}
@@ -87,6 +88,7 @@ ALLOWED: dict[str, set[str]] = {
         "support",
         "survey",
         "lab",
+        "viewer",
         "checkpoint",
     },
 }

@@ -52,7 +52,7 @@ def test_documents_commands_have_the_options_shown(name):
         words = shlex.split(line, comments=True)
         if words[:1] != ["heliograph"]:
             continue
-        shown = CliRunner().invoke(app, [words[1], "--help"], env={"COLUMNS": "200"})
+        shown = CliRunner().invoke(app, [words[1], "--help-all"], env={"COLUMNS": "200"})
         assert shown.exit_code == 0, line
         for option in (word.split("=")[0] for word in words[2:] if word.startswith("-")):
             assert re.search(rf"(?<![\w-]){option}(?![\w-])", shown.output), f"{line}: no {option}"

@@ -17,12 +17,7 @@ def lab(
     port: Annotated[int, typer.Option("--port", metavar="N", help="Taken if free, else the next one that is.")] = 8173,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
 ) -> None:
-    r"""Open the lesson's experiments in the browser, driven by the engine; nothing leaves this machine.
-
-    \b
-    heliograph lab            # all of them
-    heliograph lab tunnel     # begin with the tunnel
-    """
+    """Open the lesson's experiments in the browser, driven by the engine; nothing leaves this machine."""
     from heliograph.lab import find_experiment
     from heliograph.lab.server import HOST, Laboratory, create_app, free_socket, serve
 

@@ -29,7 +29,9 @@ from heliograph.cli import (
     solve,
     support,
     survey,
+    view,
 )
+from heliograph.cli.help import Front, Page
 from heliograph.cli.interrupt import EndedError, ends_in_order
 from heliograph.cli.options import PluggableCommand
 from heliograph.cli.terminal import guarded_streams
@@ -44,7 +46,8 @@ ClickError: type[Exception] = next(base for base in typer.BadParameter.__mro__ i
 
 app = typer.Typer(
     name="heliograph",
-    help="LiDAR-inertial mapping: a recording goes in, a trajectory and a de-skewed map come out.",
+    cls=Front,
+    help="LiDAR-inertial mapping: recording in, trajectory and de-skewed map out.",
     no_args_is_help=True,
     add_completion=True,
     rich_markup_mode=None,
@@ -53,23 +56,24 @@ app = typer.Typer(
 )
 app.command("run", cls=PluggableCommand, short_help="Recording in, trajectory and map out: the main job.")(run.run)
 app.command("info", cls=PluggableCommand, short_help="What a recording holds and what was inferred from it.")(info.info)
-app.command("check", short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
+app.command("check", cls=Page, short_help="What is wrong with a recording's IMU, and what to do.")(check.check)
 app.command(
     "localize", cls=PluggableCommand, short_help="A recording in a saved map: where it is, or that it is not known."
 )(localize.localize)
-app.command("loops", short_help="A run's loops: list, explain, revoke, add by hand.")(loops.loops)
-app.command("edit", short_help="A plan of edits applied to a run: boxes, loops, sessions.")(edit.edit)
-app.command("merge", short_help="Several runs in one map, from their folders.")(merge.merge)
-app.command("survey", short_help="A run in a coordinate system, tied to control points.")(survey.survey)
-app.command("compare", short_help="Runs side by side: distances, maps, loops, settings that differ.")(compare.compare)
-app.command("evaluate", short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
-app.command("calibrate", short_help="Mounting and clock of LiDAR and IMU, or the IMU's noise.")(calibrate.calibrate)
-app.command("align", short_help="Two clouds: pose, overlap, and what was not observable.")(align.align)
-app.command("solve", short_help="A pose graph in, its most likely poses out.")(solve.solve)
-app.command("simulate", short_help="A recording with ground truth.")(simulate.simulate)
-app.command("support", short_help="What a bug report needs of a run, without points or paths.")(support.support)
-app.command("demo", short_help="Simulate, map, evaluate: see it work.")(demo.demo)
-app.command("lab", short_help="The lesson's experiments in the browser.")(lab.lab)
+app.command("loops", cls=Page, short_help="A run's loops: list, explain, revoke, add by hand.")(loops.loops)
+app.command("edit", cls=Page, short_help="A plan of edits applied to a run: boxes, loops, sessions.")(edit.edit)
+app.command("merge", cls=Page, short_help="Several runs in one map, from their folders.")(merge.merge)
+app.command("survey", cls=Page, short_help="A run in a coordinate system, tied to control points.")(survey.survey)
+app.command("compare", cls=Page, short_help="Runs side by side: distances, maps, loops, settings.")(compare.compare)
+app.command("evaluate", cls=Page, short_help="A trajectory's errors against a reference.")(evaluate.evaluate)
+app.command("calibrate", cls=Page, short_help="Mounting and clock of LiDAR and IMU, or IMU noise.")(calibrate.calibrate)
+app.command("align", cls=Page, short_help="Two clouds: pose, overlap, and what was not observable.")(align.align)
+app.command("solve", cls=Page, short_help="A pose graph in, its most likely poses out.")(solve.solve)
+app.command("simulate", cls=Page, short_help="A recording with ground truth.")(simulate.simulate)
+app.command("support", cls=Page, short_help="What a bug report needs of a run, no points or paths.")(support.support)
+app.command("demo", cls=Page, short_help="Simulate, map, evaluate: see it work.")(demo.demo)
+app.command("view", cls=Page, short_help="A run in Rerun: scans, map, loops, graph; or a file to share.")(view.view)
+app.command("lab", cls=Page, short_help="The lesson's experiments in the browser.")(lab.lab)
 
 
 @app.callback(invoke_without_command=True)

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+
+from heliograph.cli.help import Page
 
 if TYPE_CHECKING:
     from heliograph.config import RunConfig
@@ -49,7 +50,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no clos
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier run in the output folder.")]
 
 
-class PluggableCommand(TyperCommand):
+class PluggableCommand(Page):
     """A command whose help lists the readers and odometries that are registered or installed."""
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:  # noqa: ANN401 - typer's own click has no public types

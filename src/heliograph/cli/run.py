@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,6 +11,7 @@ import typer
 
 from heliograph.cli import options
 from heliograph.cli.closing import print_closing
+from heliograph.cli.extra_sinks import extra_sinks
 from heliograph.cli.options import MapFormat
 from heliograph.cli.resume import checkpoints_of, finished_run, is_run, taken_up
 from heliograph.cli.survey import check_coordinate_system, deliver_run
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from heliograph.config import RunConfig
     from heliograph.io import Recording
     from heliograph.output.run_folder import RunFolder
+    from heliograph.output.sink import Sink
 
 __all__ = ["execute", "run"]
 
@@ -74,6 +77,13 @@ def run(
     keep_moving: Annotated[
         bool, typer.Option("--keep-moving", help="Leave in the map what other scans saw through.")
     ] = False,
+    dump_scans: Annotated[
+        Path | None, typer.Option("--dump-scans", metavar="DIR", help="De-skewed scans too, a PLY each.")
+    ] = None,
+    view: Annotated[bool, typer.Option("--view", help="Watch it in Rerun while it runs.")] = False,
+    rrd: Annotated[
+        Path | None, typer.Option("--rrd", metavar="FILE", help="Write what --view shows to a file to share.")
+    ] = None,
     map_format: Annotated[MapFormat | None, typer.Option("--map-format", help="Format of the map file.")] = None,
     config: options.ConfigFile = None,
     settings: options.Settings = None,
@@ -105,7 +115,11 @@ def run(
     if resume and (facts := finished_run(destination(recordings, output))) is not None:
         print_closing(facts, destination(recordings, output), json=json, quiet=quiet)
         return
-    folder, interrupted = execute(recordings, resolved, output, overwrite=overwrite, progress=not quiet, resume=resume)
+    with extra_sinks(destination(recordings, output).name, view=view, rrd=rrd, dump_scans=dump_scans) as extra:
+        folder, interrupted = execute(
+            recordings, resolved, output, overwrite=overwrite, progress=not quiet, resume=resume, sinks=extra.sinks
+        )
+        extra.show(folder.path)
     print_closing(folder.facts, folder.path, json=json, quiet=quiet)
     if crs is not None:
         deliver_run(folder.path, crs)
@@ -121,6 +135,7 @@ def execute(
     overwrite: bool,
     progress: bool,
     resume: bool = False,
+    sinks: Sequence[Sink] = (),
 ) -> tuple[RunFolder, int]:
     """Open a recording, run the pipeline on it, and write its folder; or go on with a run that was cut off.
 
@@ -153,7 +168,7 @@ def execute(
                 summary = pipeline.run(
                     recording,
                     config,
-                    sinks=[*bar, folder],
+                    sinks=[*bar, *sinks, folder],
                     stop=stop,
                     opening_seconds=opening,
                     folder=folder.path,

@@ -119,7 +119,12 @@ def solve(
     ] = None,
     tolerance: Annotated[
         float | None,
-        typer.Option("--tolerance", min=0.0, help="Converged when a step lowers the cost by no more than this share."),
+        typer.Option(
+            "--tolerance",
+            metavar="X",
+            min=0.0,
+            help="Converged when a step lowers the cost by no more of it.",
+        ),
     ] = None,
     max_iterations: Annotated[
         int | None, typer.Option("--max-iterations", metavar="N", min=1, help="Steps tried at most.")
@@ -142,10 +147,12 @@ def solve(
         int, typer.Option("--relinearize-skip", metavar="N", min=1, help="isam2: linearise anew every N-th update.")
     ] = 1,
     threshold: Annotated[
-        float, typer.Option("--relinearize-threshold", min=0.0, help="isam2: where a step is longer [rad, m].")
+        float,
+        typer.Option("--relinearize-threshold", metavar="X", min=0.0, help="isam2: of a longer step [rad, m]."),
     ] = 0.1,
     wildfire: Annotated[
-        float, typer.Option("--wildfire", min=0.0, help="isam2: smaller changes are not carried on [rad, m].")
+        float,
+        typer.Option("--wildfire", metavar="X", min=0.0, help="isam2: smaller changes end there [rad, m]."),
     ] = 1e-3,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the output file if there is one.")] = False,
     json: options.Json = False,

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from heliograph.cli import progress
+from heliograph.cli.help import EXAMPLES
 from heliograph.cli.interrupt import interruptible
 from heliograph.config_toml import load_config
 from heliograph.io.files.clouds import read_cloud
@@ -230,9 +232,9 @@ def test_help_lists_what_is_registered(call, monkeypatch):
     from heliograph.odometry import ODOMETRIES
 
     monkeypatch.setitem(ODOMETRIES, "mine", "own_parts:Standing")
-    code, out, _ = call("run", "--help")
+    code, out, _ = call("run", "--help-all")
     assert code == 0 and "filter, loam, mine" in out and "rosbag" in out
-    code, out, _ = call("info", "--help")
+    code, out, _ = call("info", "--help-all")
     assert code == 0 and "rosbag" in out and "loam, mine" not in out
 
 
@@ -296,12 +298,31 @@ def test_commands_are_completed():
     assert done.stdout.split() == ["localize", "loops"]
 
 
-def test_version_and_help(call):
+def test_help_fits_a_small_terminal_with_an_example_in_words(call, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
     assert call("--version")[1].startswith("heliograph ")
-    for command in ("run", "info", "evaluate", "simulate", "demo"):
+    code, front, _ = call()
+    assert code == 0 and len(front.splitlines()) <= 24
+    commands = re.findall(r"^  ([a-z]+)  ", front, re.MULTILINE)
+    assert len(commands) >= 18 and set(EXAMPLES) == set(commands)
+    for command in commands:
         code, out, _ = call(command, "--help")
-        assert code == 0 and "--help" in out
-    assert call()[0] == 0
+        assert code == 0 and len(out.splitlines()) <= 24, command
+        assert f"\n  heliograph {command}" in out, "an example"
+        code, whole, _ = call(command, "--help-all")
+        assert code == 0 and len(whole) >= len(out) - 200
+        assert not re.search(r"<(float|int|str|list|path)|x>=", out + whole), command
+        for option in {word.split("=")[0] for line in EXAMPLES[command] for word in line.split() if word[:1] == "-"}:
+            assert option in whole, f"{command}: {option}"
+
+
+def test_shell_completion_is_printed():
+    command = [sys.executable, "-c", "import sys; from heliograph.cli.main import main; sys.exit(main())"]
+    environment = {**os.environ, "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
+    done = subprocess.run(
+        [*command, "--show-completion", "bash"], env=environment, capture_output=True, text=True, check=True
+    )
+    assert "complete -o default" in done.stdout
 
 
 def test_defect_is_told_from_bad_input(call, recording, monkeypatch):

@@ -1,0 +1,164 @@
+"""Rerun behind a door of our own: where it shows things, and the few shapes that a run is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from heliograph.errors import MissingDependencyError, OutputError
+from heliograph.lie import so3
+
+__all__ = ["HEIGHT", "RESIDUAL", "TIME", "Screen", "colored"]
+
+TIME = "time"
+"""Name of the time line: the recording's own clock."""
+Scale: TypeAlias = tuple[tuple[int, int, int], ...]
+HEIGHT: Scale = ((47, 95, 179), (43, 147, 184), (53, 181, 151), (134, 207, 106), (227, 216, 90), (232, 86, 63))
+"""Colours from low to high, ordered in lightness up to the last."""
+RESIDUAL: Scale = ((49, 120, 198), (70, 176, 123), (245, 184, 61), (229, 72, 77))
+"""Colours from none to large."""
+_EXTRA = "the viewer needs rerun-sdk; install it with `pip install 'heliograph[view]'`"
+
+
+def colored(values: NDArray[Any], low: float, high: float, colors: Scale) -> NDArray[np.uint8]:
+    """Return (N, 3) colours of a scale that runs from ``low`` to ``high``; what is not finite is grey."""
+    share = np.asarray(values, dtype=np.float64) - low
+    at = np.clip(share / max(high - low, 1e-9), 0.0, 1.0) * (len(colors) - 1)
+    table, known = np.array(colors, dtype=np.float64), np.isfinite(share)
+    mixed = [np.interp(np.where(known, at, 0.0), np.arange(len(table)), channel) for channel in table.T]
+    return np.where(known[:, None], np.stack(mixed, axis=1), 128.0).astype(np.uint8)
+
+
+class Screen:
+    """One recording of Rerun: in its viewer, in a file, or both.
+
+    Parameters
+    ----------
+    name : str
+        What the viewer calls it.
+    file : Path, optional
+        A ``.rrd`` to write; shared, it opens with `rerun FILE`.
+    window : bool
+        Open the viewer.
+
+    Raises
+    ------
+    MissingDependencyError
+        Without the extra ``view``.
+    OutputError
+        The file cannot be written, or no viewer starts.
+    """
+
+    def __init__(self, name: str, *, file: Path | None = None, window: bool = False) -> None:
+        try:
+            import rerun
+        except ImportError:
+            raise MissingDependencyError(_EXTRA) from None
+        self._rr: Any = rerun
+        self._stream = rerun.RecordingStream("heliograph", send_properties=False)
+        sinks: list[Any] = []
+        try:
+            if file is not None:
+                if file.is_dir():
+                    raise OutputError(f"{file} is a folder; name a file, such as run.rrd")
+                with file.open("wb"):
+                    pass  # Rerun writes in a thread of its own, where a path that cannot be written goes unheard
+                sinks.append(rerun.FileSink(str(file)))
+            if window:
+                rerun.spawn(connect=False)
+                sinks.append(rerun.GrpcSink())
+        except (OSError, RuntimeError) as error:
+            raise OutputError(f"the viewer does not open ({error}); write a file with --rrd FILE instead") from error
+        self._stream.set_sinks(*sinks)
+        self._stream.log("/", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._stream.send_recording_name(name)
+
+    def at(self, stamp_ns: int) -> None:
+        """Set the time of what is logged next, on the recording's clock [ns]."""
+        self._stream.set_time(TIME, timestamp=np.datetime64(int(stamp_ns), "ns"))
+
+    def points(
+        self,
+        place: str,
+        points: NDArray[np.floating],
+        *,
+        colors: object = None,
+        static: bool = False,
+        size: float = 1.5,
+    ) -> None:
+        """Show points (N, 3) [m] with their colours, ``size`` wide in the window."""
+        radii = self._rr.Radius.ui_points(size)
+        self._stream.log(place, self._rr.Points3D(points, colors=colors, radii=radii), static=static)
+
+    def pose(self, place: str, T: NDArray[np.float64]) -> None:
+        """Put what lies below a place at a pose (4, 4)."""
+        self._stream.log(place, self._rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
+
+    def lines(
+        self, place: str, strips: Sequence[NDArray[np.floating]], color: tuple[int, int, int], *, static: bool = False,
+        labels: Sequence[str] | None = None,
+    ) -> None:  # fmt: skip
+        """Show lines, each (N, 3) [m]."""
+        radii = self._rr.Radius.ui_points(1.2)
+        shape = self._rr.LineStrips3D(strips, colors=[color] * len(strips), radii=radii, labels=labels)
+        self._stream.log(place, shape, static=static)
+
+    def ellipsoid(
+        self, place: str, centre: NDArray[np.float64], covariance: NDArray[np.float64], sigmas: float
+    ) -> None:
+        """Show a covariance (3, 3) about a centre [m^2], its half axes in one-sigmas."""
+        variances, axes = np.linalg.eigh(covariance)
+        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        turn = so3.log(axes)
+        angle = float(np.linalg.norm(turn))
+        self._stream.log(
+            place,
+            self._rr.Ellipsoids3D(
+                centers=[centre],
+                half_sizes=[sigmas * np.sqrt(np.maximum(variances, 0.0))],
+                rotation_axis_angles=[
+                    self._rr.RotationAxisAngle(turn / angle if angle > 0.0 else [1.0, 0.0, 0.0], radians=angle)
+                ],
+                colors=[(245, 184, 61)],
+            ),
+        )
+
+    def curves(
+        self, place: str, stamps_ns: NDArray[np.int64], values: NDArray[np.float64], names: Sequence[str]
+    ) -> None:
+        """Show columns (N, C) over time, each under its name."""
+        self._stream.log(place, self._rr.SeriesLines(names=list(names)), static=True)
+        stamps = np.asarray(stamps_ns).astype("datetime64[ns]")
+        columns = self._rr.Scalars.columns(scalars=np.ascontiguousarray(values, dtype=np.float64))
+        self._stream.send_columns(place, indexes=[self._rr.TimeColumn(TIME, timestamp=stamps)], columns=columns)
+
+    def values(self, place: str, values: Iterable[float]) -> None:
+        """Add one row to curves."""
+        self._stream.log(place, self._rr.Scalars(list(values)))
+
+    def network(
+        self, place: str, nodes: Mapping[str, tuple[float, float] | None], edges: Sequence[tuple[str, str]],
+        colors: Sequence[tuple[int, int, int]], *, directed: bool = False,
+    ) -> None:  # fmt: skip
+        """Show nodes, at positions in the plane where they have some, and edges between them."""
+        positions = None if None in nodes.values() else list(nodes.values())
+        shape = self._rr.GraphNodes(list(nodes), positions=positions, colors=list(colors), labels=list(nodes))
+        kind = "directed" if directed else "undirected"
+        self._stream.log(place, shape, self._rr.GraphEdges(list(edges), graph_type=kind), static=True)
+
+    def say(self, place: str, text: str, level: str = "INFO") -> None:
+        """Add a line of text at the present time."""
+        self._stream.log(place, self._rr.TextLog(text, level=level))
+
+    def document(self, place: str, text: str) -> None:
+        """Show a text in Markdown."""
+        self._stream.log(place, self._rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+    def close(self) -> None:
+        """Hand over all that has not gone out yet."""
+        self._stream.flush()
+        self._stream.disconnect()
