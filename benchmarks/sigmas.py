@@ -18,6 +18,7 @@ from heliograph.config import RunConfig
 from heliograph.data import ScanResult
 from heliograph.lie import so3
 from heliograph.odometry import make_odometry
+from heliograph.output.blind_spans import BlindSpan
 from heliograph.output.level import Level
 from heliograph.output.summary import Tally, judge
 from heliograph.sim import SCENARIOS, Scenario, simulate
@@ -26,6 +27,7 @@ __all__ = ["SIGMA_SCENARIOS", "measure_sigmas", "sigmas_section"]
 
 _Rows = list[dict[str, Any]]
 _AXIS = np.array([1.0, 0.0, 0.0])  # of the tunnel
+_BUDGET = RunConfig().check.max_blind_growth
 _INSIDE = 14.16  # 99.7 % of a chi-square variable of three: what three sigmas are of one
 
 SIGMA_SCENARIOS: dict[str, Scenario] = {
@@ -50,6 +52,7 @@ class _Run:
     T_odom_true: Array
     error: Array
     level: Level
+    blind: tuple[BlindSpan, ...]
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -67,8 +70,15 @@ class _Run:
         expected = T[0] @ np.linalg.inv(truth[0]) @ truth
         turn = so3.log(np.swapaxes(T[:, :3, :3], 1, 2) @ expected[:, :3, :3])
         error = np.concatenate([turn, expected[:, :3, 3] - T[:, :3, 3]], axis=1)
-        level: Level = tally.summary().level
-        return cls(results=tuple(results), truth=truth, T_odom_true=expected, error=error, level=level)
+        said = tally.summary()
+        return cls(
+            results=tuple(results),
+            truth=truth,
+            T_odom_true=expected,
+            error=error,
+            level=said.level,
+            blind=said.blind_spans,
+        )
 
     def nees(self, index: int, part: slice = slice(0, 6)) -> float:
         """Return the squared error of a pose in units of its covariance."""
@@ -107,7 +117,8 @@ def _row(name: str, seed: int, run: _Run) -> dict[str, Any]:
         "scenario": name,
         "seed": seed,
         "scans": last + 1,
-        "status": judge(counts, sensors=("lidar", "imu"))[0],
+        "status": judge(counts, sensors=("lidar", "imu"), blind=run.blind, budget=_BUDGET)[0],
+        "blind_share": counts.get("degenerate", 0) / (last + 1),
         "nees": run.nees(last),
         "error_m": float(np.linalg.norm(run.error[last, 3:])),
         "sigma_m": float(np.sqrt(np.trace(run.results[last].pose_covariance[3:, 3:]))),
@@ -169,6 +180,8 @@ def sigmas_section(rows: _Rows, table: Callable[[Sequence[str], Sequence[Any]], 
                 f"{1e3 * np.median([r['sigma_m'] for r in some]):.1f}",
                 f"{100 * np.mean([r['inside'] for r in some]):.1f}",
                 sum(r["suspect"] for r in some),
+                sum(r["status"] == "ok" for r in some),
+                f"{100 * np.mean([r['blind_share'] for r in some]):.0f}",
             ]
         )
     head = [
@@ -180,6 +193,8 @@ def sigmas_section(rows: _Rows, table: Callable[[Sequence[str], Sequence[Any]], 
         "sigma mm",
         "inside 3 sigma %",
         "suspect scans",
+        "ok",
+        "blind scans %",
     ]
     text = "## Sigmas\n\nErrors at the end of simulated recordings against what the odometry says of them.\n\n"
     text += table(head, body)

@@ -26,8 +26,10 @@ from heliograph.lie import s2, se3, so3
 __all__ = ["ImuExcitation", "MotionStart", "align_motion"]
 
 
-_MAX_ITERATIONS = 12
+_MAX_ITERATIONS = 30
 _SETTLED_STEP = 1e-5  # largest step of any unknown at which the iteration has converged [rad], [m], [m/s] ...
+_SETTLED_COST = 0.01  # ... or change of the cost, in squared sigmas: along what nothing observes it goes on for long
+_LEAST_SHARE = 0.05  # shortest part of a step that is tried
 # Poses count as known no better than this, so that one that is exact by definition can be weighed against others.
 _MIN_ROTATION_SIGMA, _MIN_POSITION_SIGMA = 1e-5, 1e-4
 _UNOBSERVED_SHARE = 0.7  # a bias whose sigma the data left above this share of its prior was not observed
@@ -161,6 +163,7 @@ def align_motion(
     T_imu_lidar: Array | None = None,
     begin_ns: int | None = None,
     scale_sigma: float = 0.0,
+    speed_change: float = np.inf,
 ) -> MotionStart:
     """Find gravity, velocities and biases from poses of a LiDAR's own odometry and the IMU beside them.
 
@@ -181,6 +184,9 @@ def align_motion(
         An instant before the first pose at which the state is wanted too [ns].
     scale_sigma : float
         Prior of the logarithm of the accelerometer's scale; 0 holds it at one.
+    speed_change : float
+        One-sigma of what the velocity may have changed by meanwhile, where poses do not tell it along some direction:
+        the mean force points up but for that [m/s].
 
     Returns
     -------
@@ -194,7 +200,8 @@ def align_motion(
     """
     _check(poses, pose_covariance, imu, T_imu_lidar)
     stamps, measured = _measurements(poses, pose_covariance, T_imu_lidar, begin_ns)
-    sigmas = np.repeat([config.gyro_bias_sigma, config.accel_bias_sigma, np.inf, scale_sigma], [3, 3, 2, 1])
+    lean = speed_change / (config.gravity * max(float(stamps[-1] - stamps[0]) * 1e-9, 1e-3))
+    sigmas = np.repeat([config.gyro_bias_sigma, config.accel_bias_sigma, lean, scale_sigma], [3, 3, 2, 1])
 
     def between(gyro_bias: Array, accel_bias: Array) -> Preintegration:
         return preintegrate(
@@ -203,7 +210,10 @@ def align_motion(
 
     bias, deltas = _gyro_bias(measured, between, config)
     chain = _closed_form(stamps, measured, deltas, bias, config)
-    chain, solution, iterations, settled = _settled(chain, measured, between, sigmas)
+    down = _down_by_force(chain, deltas)
+    if np.isfinite(lean):
+        chain = replace(chain, g=config.gravity * down)
+    chain, solution, iterations, settled = _settled(chain, measured, between, sigmas, down)
     freedom = 6 * len(poses) + int(np.isfinite(sigmas).sum()) - NODE - SHARED
     found = MotionStart(
         stamps_ns=stamps,
@@ -232,16 +242,31 @@ def _settled(
     measured: tuple[Array, Array, Array],
     between: Callable[[Array, Array], Preintegration],
     sigmas: Array,
+    down: Array,
 ) -> tuple[Chain, ChainStep, int, bool]:
     """Repeat Gauss-Newton steps, each on motion integrated anew with the biases found, until they are negligible."""
     # A scale that is held has the narrowest of priors: the same algebra serves both.
     weight = np.where(np.isfinite(sigmas), np.maximum(sigmas, _HELD_SCALE_SIGMA) ** -2.0, 0.0)
-    for iteration in range(1, _MAX_ITERATIONS + 1):
+
+    def step_from(chain: Chain) -> ChainStep:
         deltas = between(chain.gyro_bias, chain.accel_bias)
-        off = np.concatenate([chain.gyro_bias, chain.accel_bias, np.zeros(2), [chain.log_scale]])
-        solution = relax(chain, deltas, measured, (off, weight))
-        chain = chain.moved(solution.nodes, solution.shared)
+        # Tangent vectors from here to the prior's direction: minus the deviation from it.
+        lean = -s2.local(chain.g / np.linalg.norm(chain.g), down) if np.isfinite(sigmas[6]) else np.zeros(2)
+        off = np.concatenate([chain.gyro_bias, chain.accel_bias, lean, [chain.log_scale]])
+        return relax(chain, deltas, measured, (off, weight))
+
+    solution, share = step_from(chain), 1.0
+    for iteration in range(1, _MAX_ITERATIONS + 1):
+        moved = chain.moved(share * solution.nodes, share * solution.shared)
         if solution.largest < _SETTLED_STEP:
+            return moved, solution, iteration, True
+        ahead = step_from(moved)
+        gain = solution.cost - ahead.cost
+        if gain < -_SETTLED_COST and share > _LEAST_SHARE:
+            share *= 0.5  # gravity has a fixed length: where nothing else holds a tilt, a straight step overshoots
+            continue
+        chain, solution, share = moved, ahead, min(1.0, 2.0 * share)
+        if abs(gain) < _SETTLED_COST:
             return chain, solution, iteration, True
     return chain, solution, _MAX_ITERATIONS, False
 
@@ -329,10 +354,10 @@ def _closed_form(
         V[k + 1] = V[k] + np.column_stack([R[k] @ deltas.delta_v[k], end @ deltas.bias_jacobian[k, 6:9, 3:6]])
     one = np.tile(np.eye(3), (n, 1, 1))
     A = np.concatenate([one, t[..., None] * one, 0.5 * t[..., None] ** 2 * one, S[:, :, 1:]], axis=2)[first:]
-    weight = float(np.mean(np.trace(information[first:, 3:, 3:], axis1=1, axis2=2))) / 3.0
-    H = weight * np.einsum("kij,kil->jl", A, A)
+    weighted = np.swapaxes(A, 1, 2) @ information[first:, 3:, 3:]
+    H = np.sum(weighted @ A, axis=0)
     H[9:, 9:] += config.accel_bias_sigma**-2.0 * np.eye(3)
-    x = np.linalg.solve(H, weight * np.einsum("kij,ki->j", A, p[first:] - S[first:, :, 0]))
+    x = np.linalg.solve(H, np.sum(weighted @ (p[first:] - S[first:, :, 0])[..., None], axis=0)[:, 0])
     x0, v0, g, bias = x[0:3], x[3:6], x[6:9], x[9:12]
     g = config.gravity * g / max(float(np.linalg.norm(g)), 1e-9)
     sensed = np.concatenate([[1.0], bias])
@@ -344,6 +369,12 @@ def _closed_form(
         accel_bias=bias,
         g=g,
     )
+
+
+def _down_by_force(chain: Chain, deltas: Preintegration) -> Array:
+    """Return the direction against the mean force, as if velocity had not changed, (3,)."""
+    force = np.einsum("kij,kj->i", chain.R[:-1], deltas.delta_v)
+    return np.asarray(-force / max(float(np.linalg.norm(force)), 1e-9))
 
 
 def _excitation(stamps: NDArray[np.int64], chain: Chain, imu: ImuBatch, poses: Trajectory) -> ImuExcitation:

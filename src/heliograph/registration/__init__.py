@@ -18,7 +18,7 @@ from heliograph.registration.linearize import (
     gradient_scatter,
     linearize,
 )
-from heliograph.registration.noisy_normals import TrueShare, true_share
+from heliograph.registration.noisy_normals import TrueShare, feigned_deviation, split_information, true_share
 from heliograph.registration.remapping import remapped_step, soft_step
 from heliograph.registration.surfaces import PreparedCloud, estimate_covariances, estimate_normals, prepare_cloud
 
@@ -41,6 +41,7 @@ __all__ = [
     "analyse_planes",
     "estimate_covariances",
     "estimate_normals",
+    "feigned_deviation",
     "gradient_scatter",
     "linearize",
     "observability",
@@ -48,5 +49,6 @@ __all__ = [
     "register_features",
     "remapped_step",
     "soft_step",
+    "split_information",
     "true_share",
 ]

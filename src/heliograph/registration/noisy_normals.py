@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import freeze
 from heliograph.registration.linearize import NormalEquations
 
-__all__ = ["TrueShare", "true_share"]
+__all__ = ["TrueShare", "feigned_deviation", "split_information", "true_share"]
 
 Array = NDArray[np.float64]
 
@@ -63,6 +63,11 @@ class TrueShare:
         """Return what can be known, ``S^T H S`` (C, C)."""
         return np.asarray((self.duals.T * self.share**2) @ self.duals)
 
+    def of(self, information: Array) -> Array:
+        """Return what can be known, ``S^T H S`` (C, C), by an information H of which the same shares are true."""
+        S = (self.directions * self.share) @ self.duals
+        return np.asarray(S.T @ information @ S)
+
     def covariance(self) -> Array:
         """Return the inverse of that over what is seen, and nothing along the rest, (C, C)."""
         seen = self.share > 0.0
@@ -95,14 +100,36 @@ def true_share(equations: NormalEquations, columns: slice = slice(None)) -> True
         Columns to look at, the others being known; all of them by default.
     """
     H, F = equations.information[columns, columns], equations.feigned[columns, columns]
-    whitening, unseen = _whitening(H)
-    feigned, turn = np.linalg.eigh(whitening.T @ F @ whitening + np.diag(2.0 * unseen))
-    feigned, directions = feigned[::-1], (whitening @ turn)[:, ::-1]
-    chance = (1.0 + _SIGMAS * _scatter(equations)) * feigned
-    share = np.where(chance < 1.0, 1.0 - feigned, 0.0)
+    total = 0.5 * float(np.trace(_of_position(equations)))
+    scatter = feigned_deviation(equations) / total if total > 0.0 else 0.0
+    return split_information(H, F, scatter, equations.robust_weight)
+
+
+def split_information(information: Array, feigned: Array, scatter: float, matches: float) -> TrueShare:
+    """Tell the true part of an information from what noise of the normals feigns.
+
+    Parameters
+    ----------
+    information, feigned : (C, C) float64
+        As summed, and what noise alone is expected to have added.
+    scatter : float
+        Relative deviation of the latter by chance.
+    matches : float
+        Sum of the matches' robust weights.
+    """
+    whitening, unseen = _whitening(information)
+    parts, turn = np.linalg.eigh(whitening.T @ feigned @ whitening + np.diag(2.0 * unseen))
+    parts, directions = parts[::-1], (whitening @ turn)[:, ::-1]
+    chance = (1.0 + _SIGMAS * scatter) * parts
+    share = np.where(chance < 1.0, 1.0 - parts, 0.0)
     return TrueShare(
-        feigned=feigned, share=share, directions=directions, duals=directions.T @ H, matches=equations.robust_weight
+        feigned=parts, share=share, directions=directions, duals=directions.T @ information, matches=matches
     )
+
+
+def feigned_deviation(equations: NormalEquations) -> float:
+    """Return the deviation of what noise feigns of the position: a sum of squares, one degree of freedom a plane."""
+    return float(np.sqrt(2.0 * _PER_PLANE * equations.feigned_square))
 
 
 def _whitening(H: Array) -> tuple[Array, Array]:
@@ -115,8 +142,6 @@ def _whitening(H: Array) -> tuple[Array, Array]:
     return scale[:, None] * vectors * root, np.where(seen, 0.0, 1.0)
 
 
-def _scatter(equations: NormalEquations) -> float:
-    """Return the relative deviation of what noise feigns: a sum of squares with one degree of freedom a plane."""
+def _of_position(equations: NormalEquations) -> Array:
     pose = equations.columns_of("pose")
-    total = 0.5 * float(np.trace(equations.feigned[pose, pose][3:, 3:]))
-    return float(np.sqrt(2.0 * _PER_PLANE * equations.feigned_square) / total) if total > 0.0 else 0.0
+    return np.asarray(equations.feigned[pose, pose][3:, 3:])

@@ -14,7 +14,7 @@ from heliograph.arrays import Array
 from heliograph.cloud import deskew, range_gate
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, NavState, OnlineCalibration, Scan, ScanResult
-from heliograph.data.error_layout import POSE
+from heliograph.data.error_layout import POSE, POSE_DIM
 from heliograph.imu import ImuPath
 from heliograph.maps import LocalMap, VoxelMap
 from heliograph.odometry.filter.calibrating import CalibrationTerms, FixedCalibration, calibration_of
@@ -101,6 +101,8 @@ class FilterCore(Stateful):
         self._count = 0
         self._relocker = Relocker()
         self._begins_anew = False
+        self.blind = np.zeros((POSE_DIM, POSE_DIM))
+        """Projection of an error of the pose onto what the last scan did not see of it."""
         self.blindfolded = self.holds_map = False
         """Whether scans are matched to nothing, and whether those that are matched leave the map as it is."""
 
@@ -189,6 +191,7 @@ class FilterCore(Stateful):
         watch.lap("deskew")
 
         seen = fit.measurement.pose_share() if fit is not None else None
+        self.blind = seen.blind() if seen is not None else np.zeros((POSE_DIM, POSE_DIM))
         # A scan that was found again after a silence waits for others to bear it out: it enters no map.
         if self._keeper.empty or (fit is not None and not (sought or self.holds_map)):
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)

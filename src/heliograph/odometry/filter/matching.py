@@ -21,8 +21,9 @@ from heliograph.odometry.filter.error_state import mounting_error
 from heliograph.odometry.filter.innovation import InnovationTest
 from heliograph.odometry.filter.lasting import MatchedPoints
 from heliograph.odometry.filter.measurement import ScanMeasurement
+from heliograph.odometry.filter.sight import SightOfScans
 from heliograph.odometry.filter.update import FilterUpdate, iterated_update, weighed_less
-from heliograph.registration import MatchSettings, NormalEquations, linearize, true_share
+from heliograph.registration import MatchSettings, NormalEquations, linearize
 from heliograph.snapshots import PART, Stateful
 
 __all__ = ["AdaptiveNoise", "ScanMatcher", "Thinning", "register", "sweep_noise"]
@@ -115,6 +116,7 @@ def register(
     threads: int,
     terms: CalibrationTerms | None = None,
     sweep_noise: Array | None = None,
+    sight: SightOfScans | None = None,
 ) -> FilterUpdate[ScanMeasurement]:
     """Update a predicted state with the points of a scan.
 
@@ -143,6 +145,8 @@ def register(
         state's mounting differs from it, the residuals are corrected to first order.
     sweep_noise : (12, 12) float64, optional
         Covariance of what noise of the IMU within the sweep feigns of pose, velocity and gyroscope bias.
+    sight : SightOfScans, optional
+        What the scans before saw.
 
     Returns
     -------
@@ -159,7 +163,9 @@ def register(
     After W. Xu et al., "FAST-LIO2", T-RO 2022; eq. (3) to (7) of docs/theory/filter.md.
     """
     terms = terms if terms is not None else CalibrationTerms()
-    mounted = terms.mounted
+    mounted, sight = terms.mounted, sight if sight is not None else SightOfScans()
+    blur = float(before_end.max(initial=0.0)) ** 2 * float(np.linalg.eigvalsh(prior.covariance[VELOCITY, VELOCITY])[-1])
+    motion_known = blur < noise.sigma**2
     opening = _opening(prior, noise.sigma, config, terms)
     kernel = _NarrowingKernel(opening, config.kernel * noise.sigma, config.typical_range)
 
@@ -184,7 +190,7 @@ def register(
         measurement = ScanMeasurement.of(sums)
         if mounted is not None:
             measurement = measurement.at_mounting(mounting_error(mounted.T_imu_lidar, state.T_imu_lidar))
-        measurement = measurement.only_true(true_share(sums))
+        measurement = measurement.only_true(sight, state, motion_known=motion_known)
         if terms.rate_change is not None:
             measurement = measurement.with_clock(terms.rate_change)
         shared = config.correlation if sums.feigned_square > 0.0 else max(config.correlation, _UNTOLD)
@@ -217,6 +223,7 @@ class ScanMatcher(Stateful):
         "thinning": PART,
         "_usual_share": float,
         "_innovations": PART,
+        "_sight": PART,
     }
 
     def __init__(self, config: RunConfig, *, threads: int) -> None:
@@ -225,6 +232,7 @@ class ScanMatcher(Stateful):
         self._config, self._threads = config.filter, threads
         self._usual_share = 0.0
         self._innovations = InnovationTest()
+        self._sight = SightOfScans()
 
     @property
     def usual_share(self) -> float:
@@ -253,6 +261,7 @@ class ScanMatcher(Stateful):
         fit = self.registered(prior, local_map, points_at, before_end, terms, sweep_noise)
         if not self._trusted(prior, fit.measurement.sums, terms):
             return None
+        self._sight.take(fit.measurement.sums, fit.linearized_at)
         return fit if sweep_noise is None else self._believed(fit, prior, terms)
 
     def registered(
@@ -275,6 +284,7 @@ class ScanMatcher(Stateful):
             threads=self._threads,
             terms=terms,
             sweep_noise=sweep_noise,
+            sight=self._sight,
         )
 
     def _believed(

@@ -8,14 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import Array, freeze
-from heliograph.data.error_layout import CLOCK, GYRO_BIAS, MOUNTING, POSE, VELOCITY
+from heliograph.data import NavState
+from heliograph.data.error_layout import CLOCK, GYRO_BIAS, MOUNTING, POSE, POSE_DIM, POSITION, ROTATION, VELOCITY
+from heliograph.odometry.filter.sight import Sight, SightOfScans
 from heliograph.registration import NormalEquations, TrueShare, true_share
 
 __all__ = ["ScanMeasurement"]
 
 
-_ERRORS = {"pose": POSE, "motion": slice(VELOCITY.start, GYRO_BIAS.stop), "mounting": MOUNTING}
+_MOTION = slice(VELOCITY.start, GYRO_BIAS.stop)
+_ERRORS = {"pose": POSE, "motion": _MOTION, "mounting": MOUNTING}
 """Which errors the registration's blocks are."""
+
+
+_BIAS_OF_MOTION = slice(GYRO_BIAS.start - _MOTION.start, GYRO_BIAS.stop - _MOTION.start)
+_VELOCITY_OF_MOTION = slice(VELOCITY.start - _MOTION.start, VELOCITY.stop - _MOTION.start)
+# Before the sweep's end an error of velocity moves the points back, and one of the gyroscope's bias turns them.
+_POSE_BY_MOTION = np.zeros((POSE_DIM, _MOTION.stop - _MOTION.start))
+_POSE_BY_MOTION[ROTATION, _BIAS_OF_MOTION] = np.eye(3)
+_POSE_BY_MOTION[POSITION, _VELOCITY_OF_MOTION] = -np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,12 +43,18 @@ class ScanMeasurement:
         Weighted ``J^T r``.
     sums : NormalEquations
         What the registration found, every match counting as an independent one.
+    together : Sight, optional
+        What the scan and those before it saw, where it alone is not sure.
+    state : NavState, optional
+        Where it was linearised.
     """
 
     columns: NDArray[np.intp]
     information: Array
     gradient: Array
     sums: NormalEquations
+    together: Sight | None = None
+    state: NavState | None = None
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -56,13 +73,52 @@ class ScanMeasurement:
         mounting = self.sums.columns_of("mounting")
         return replace(self, gradient=self.gradient + self.information[:, mounting] @ error)
 
-    def only_true(self, found: TrueShare) -> ScanMeasurement:
-        """Return the measurement without the information that noise of the planes' normals feigns."""
-        return replace(self, information=found.information(), gradient=found.gradient(self.gradient))
+    def only_true(self, sight: SightOfScans, state: NavState, *, motion_known: bool = True) -> ScanMeasurement:
+        """Return the measurement without the information that noise of the planes' normals feigns.
+
+        What is blind for a pose whose motion is known is so for one whose motion is not: rows of velocity and bias are
+        those of position and rotation times the time before the sweep's end. Among pose and motion together a mixture
+        of both may pass for seen by chance; where the motion is not known it tells nothing of either.
+
+        Parameters
+        ----------
+        sight : SightOfScans
+            What the scans before saw.
+        state : NavState
+            Where the measurement was linearised.
+        motion_known : bool
+            Whether the motion within the sweep is known to less than the points' noise.
+        """
+        found, together = true_share(self.sums), None
+        if not sight.plain(found):
+            together = sight.with_scan(self.sums, state)
+            found = together.seen(self.sums, state)
+        true = replace(
+            self,
+            information=found.of(self.information),
+            gradient=found.gradient(self.gradient),
+            together=together,
+            state=state,
+        )
+        # Over fewer columns noise feigns no larger share: where all is seen here, it is so for the pose alone.
+        if motion_known or found.share.all() or "motion" not in self.sums.blocks:
+            return true
+        return true.without(true.pose_share().blind())
+
+    def without(self, blind: Array) -> ScanMeasurement:
+        """Return the measurement that tells nothing of what is ``blind`` (6, 6) of the pose, nor of its motion."""
+        pose, motion = self.sums.columns_of("pose"), self.sums.columns_of("motion")
+        known = np.eye(len(self.columns))
+        known[pose, pose] -= blind
+        known[motion, motion] -= _POSE_BY_MOTION.T @ blind @ _POSE_BY_MOTION
+        return replace(self, information=known.T @ self.information @ known, gradient=known.T @ self.gradient)
 
     def pose_share(self) -> TrueShare:
         """Return how much of the information on the pose is true if velocity and biases are known."""
-        return true_share(self.sums, self.sums.columns_of("pose"))
+        pose = self.sums.columns_of("pose")
+        if self.together is None or self.state is None:
+            return true_share(self.sums, pose)
+        return self.together.seen(self.sums, self.state, pose)
 
     def with_clock(self, rate_change: Array) -> ScanMeasurement:
         """Return the measurement with the column of the clock's offset.

@@ -22,6 +22,7 @@ from heliograph.data.error_layout import (
     MOUNTING_ROTATION,
     NAV_DIM,
     POSE,
+    POSITION,
     VELOCITY,
 )
 from heliograph.imu import MotionStart, align_motion
@@ -51,9 +52,10 @@ _NO_POINTS = np.zeros((0, 3), np.float32)
 _LOOSE_GYRO, _LOOSE_ACCEL = 0.03, 3.0
 _ALIGNED_SPEED_SIGMA = 0.3  # of a velocity that an alignment has found already [m/s]
 _MIN_POSES = 5
-# Passes, each de-skewed with what the one before it found, until the velocity stays [m/s].
+# Passes, each de-skewed with what the one before it found, until the velocity stays [m/s], by what is known of it.
 _MAX_PASSES = 5
 _SETTLED_SPEED = 0.02
+_SETTLED_SHARE = 0.3  # of its sigma, that a velocity may change by besides
 # Scans to try other speeds with, where the LiDAR is blind along its way and matches less than this share of its points.
 _TRIED_SCANS, _BLIND_SHARE = 5, 0.5
 _FAST_SPEED = 1.0  # a velocity beyond which a match from rest may be a wrong one [m/s]
@@ -66,7 +68,11 @@ _SCALE_SIGMA = 0.05  # what the scale of an accelerometer may be off
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpeningMotion:
-    """How the LiDAR alone saw the first scans: velocity and rate at their start, and what velocity gained."""
+    """How the LiDAR alone saw the first scans: velocity and rate at their start, and what velocity gained.
+
+    ``unseen_imu`` (3, 3) is the share of a velocity that they did not see: 0 along what all of them saw, 1 along what
+    none did.
+    """
 
     v_imu: Array
     rate_imu: Array
@@ -74,6 +80,7 @@ class OpeningMotion:
     mean_rate: Array
     R_first_imu: Array
     stamps_ns: NDArray[np.int64]
+    unseen_imu: Array
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -164,10 +171,17 @@ def lidar_only(
     if len(scans) < 3:
         return None
 
+    blind: list[Array] = []
+
     def run(v: Array, rate: Array, count: int) -> list[ScanResult]:
         state = constant_velocity_state(scans[0].stamp_ns, v, rate, rig, config.filter)
         core = FilterCore(state, MotionModel(config.imu, config.filter, None), config, threads=threads)
-        return [core.process(scan, NO_IMU) for scan in scans[:count]]
+        results = []
+        blind.clear()
+        for scan in scans[:count]:
+            results.append(core.process(scan, NO_IMU))
+            blind.append(core.blind)
+        return results
 
     zero = np.zeros(3)
     results = run(zero, zero, len(scans))
@@ -181,7 +195,8 @@ def lidar_only(
         if sum(result.matches > 0 for result in results) < 2:
             return None
         T = np.stack([result.T_odom_imu for result in results])
-        moved = _fit_motion(T, np.array([result.end_ns for result in results], dtype=np.int64), scans[0].stamp_ns)
+        ends_ns = np.array([result.end_ns for result in results], dtype=np.int64)
+        moved = _fit_motion(T, ends_ns, scans[0].stamp_ns, unseen_way(ends_ns, np.stack(blind), 0)[-1])
         if not last:
             results = run(moved.v_imu, moved.rate_imu, len(scans))
     return moved, results
@@ -203,7 +218,28 @@ def _blind_direction(results: Sequence[ScanResult], config: RunConfig) -> Array 
     return worst.weak_direction
 
 
-def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> OpeningMotion:
+def unseen_way(stamps_ns: NDArray[np.int64], blind: Array, anchor: int) -> Array:
+    """Return the derivative of each pose's error, against that of one of them, by a motion that scans did not see.
+
+    Parameters
+    ----------
+    stamps_ns : (N,) int64
+    blind : (N, 6, 6) float64
+        Projection of an error onto what each scan did not see of the pose since the one before.
+    anchor : int
+        Which pose the errors are against.
+
+    Returns
+    -------
+    (N, 6, 6) float64
+        By rate (body) and velocity (frame of the poses) [s].
+    """
+    seconds = np.diff(stamps_ns, prepend=stamps_ns[:1]) * 1e-9
+    gone = np.cumsum(seconds[:, None, None] * blind, axis=0)
+    return np.asarray(gone - gone[anchor])
+
+
+def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int, unseen: Array) -> OpeningMotion:
     """Fit parabolas to positions and rotation vectors, and read them at the first scan's start."""
     t = (stamps_ns - begin_ns) * 1e-9
     degree = 2 if len(t) >= 5 else 1
@@ -220,15 +256,17 @@ def _fit_motion(T: Array, stamps_ns: NDArray[np.int64], begin_ns: int) -> Openin
         mean_rate=(turns[-1] - turns[0]) / (t[-1] - t[0]),
         R_first_imu=T[:, :3, :3],
         stamps_ns=stamps_ns,
+        unseen_imu=R_first.T @ unseen[POSITION, POSITION] @ R_first / (t[-1] - t[0]),
     )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Followed:
-    """Poses of the scans that matched, with covariances."""
+    """Poses of the scans that matched, with covariances; ``torn`` where scans did not see how some are to others."""
 
     poses: Trajectory
     covariance: Array
+    torn: bool
 
     def __post_init__(self) -> None:
         freeze(self)
@@ -283,6 +321,7 @@ def find_motion(
             config=config.imu,
             begin_ns=scans[0].stamp_ns,
             scale_sigma=scale_sigma,
+            speed_change=config.filter.unknown_speed if followed.torn else np.inf,
         )
 
     tried = [led(*lead).follow(scans[:_TRIED_SCANS]) for lead in _led_by_gyro(scans[0], imu, rig, moved, config.filter)]
@@ -306,7 +345,9 @@ def _of_one_time(scans: Sequence[Scan], imu: ImuBatch) -> bool:
 
 def _same_velocity(before: MotionStart, after: MotionStart) -> bool:
     changed = after.R_odom_imu[0].T @ after.v_odom[0] - before.R_odom_imu[0].T @ before.v_odom[0]
-    return float(np.linalg.norm(changed)) < _SETTLED_SPEED
+    unknown = after.R_odom_imu[0].T @ after.velocity_covariance[0] @ after.R_odom_imu[0]
+    allowed = _SETTLED_SPEED**2 * np.eye(3) + _SETTLED_SHARE**2 * unknown
+    return bool(changed @ np.linalg.solve(allowed, changed) < 1.0)
 
 
 def _led_by_gyro(
@@ -322,7 +363,7 @@ def _led_by_gyro(
 
 def _led_by_imu(first: Scan, found: MotionStart, imu: ImuBatch, rig: Rig) -> tuple[NavState, ImuBatch]:
     state = blank_state(first.stamp_ns, replace(rig, known=True))
-    state = with_sigma(state, VELOCITY, _ALIGNED_SPEED_SIGMA)
+    state = with_block(state, VELOCITY, _ALIGNED_SPEED_SIGMA**2 * np.eye(3) + found.velocity_covariance[0])
     return replace(
         state,
         R_odom_imu=found.R_odom_imu[0],
@@ -348,8 +389,9 @@ class _Led:
     def __init__(self, state: NavState, imu: ImuBatch, config: RunConfig, threads: int) -> None:
         noise = ImuNoise(gyro=_LOOSE_GYRO, accel=_LOOSE_ACCEL, gyro_walk=0.0, accel_walk=0.0)
         self._core = FilterCore(state, MotionModel(config.imu, config.filter, noise), config, threads=threads)
-        self._imu = imu
+        self._imu, self._config = imu, config.filter
         self._results: list[ScanResult] = []
+        self._blind: list[Array] = []
 
     @property
     def share(self) -> float:
@@ -358,18 +400,35 @@ class _Led:
 
     def follow(self, scans: Sequence[Scan]) -> _Led:
         """Go on over more scans; return itself."""
-        self._results += [replace(self._core.process(scan, self._imu), points_imu=_NO_POINTS) for scan in scans]
+        for scan in scans:
+            self._results.append(replace(self._core.process(scan, self._imu), points_imu=_NO_POINTS))
+            self._blind.append(self._core.blind)
         return self
 
     def poses(self) -> _Followed | None:
         """Return the poses of the scans that matched, None where they are too few to say anything."""
-        kept = [result for result in self._results if result.matched]
+        kept = [k for k, result in enumerate(self._results) if result.matched]
         if len(kept) < _MIN_POSES:
             return None
+        results = [self._results[k] for k in kept]
+        stamps_ns = np.array([result.end_ns for result in results], dtype=np.int64)
+        unseen = self._unseen(stamps_ns, np.stack([self._blind[k] for k in kept]))
         return _Followed(
-            poses=Trajectory(
-                stamps_ns=np.array([result.end_ns for result in kept], dtype=np.int64),
-                T_frame_body=np.stack([result.T_odom_imu for result in kept]),
-            ),
-            covariance=np.stack([result.covariance[POSE, POSE] for result in kept]),
+            poses=Trajectory(stamps_ns=stamps_ns, T_frame_body=np.stack([result.T_odom_imu for result in results])),
+            covariance=np.stack([result.covariance[POSE, POSE] for result in results]) + unseen,
+            torn=bool(unseen.any()),
         )
+
+    def _unseen(self, stamps_ns: NDArray[np.int64], blind: Array) -> Array:
+        """Return what a motion adds to the poses' covariance, (N, 6, 6), that scans between them did not see.
+
+        It is told against the longest stretch of poses that are tied to each other. As one unknown velocity moves all
+        the others together, and they will be taken for independent, each has that much less to say.
+        """
+        cut = np.abs(blind).max(axis=(1, 2)) > 0.0
+        runs = np.cumsum(cut)
+        anchor = int(np.argmax(runs == np.bincount(runs).argmax()))
+        by_motion = unseen_way(stamps_ns, blind, anchor)
+        apart = max(int(np.count_nonzero(np.abs(by_motion).max(axis=(1, 2)) > 0.0)), 1)
+        sigma = np.repeat([self._config.unknown_rate, self._config.unknown_speed], 3)
+        return np.asarray(apart * (by_motion * sigma**2) @ np.swapaxes(by_motion, 1, 2))

@@ -352,7 +352,8 @@ def _rough_state(
         v, v_sigma = moved.v_imu, _MOVING_SPEED_SIGMA
     R = so3.from_two_vectors(up, np.array([0.0, 0.0, 1.0]))
     state = replace(blank_state(begin_ns, rig), R_odom_imu=R, v_odom=R @ v, gyro_bias=bias)
-    state = with_sigma(state, VELOCITY, v_sigma)
+    unseen = R @ moved.unseen_imu if moved is not None else np.zeros((3, 3))
+    state = with_block(state, VELOCITY, v_sigma**2 * np.eye(3) + config.filter.unknown_speed**2 * unseen @ unseen.T)
     state = with_sigma(state, GYRO_BIAS, bias_sigma)
     return _with_gravity(state, R @ up, up_sigma, config)
 

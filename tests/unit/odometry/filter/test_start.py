@@ -8,6 +8,7 @@ from scipy.stats import chi2
 
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, Rig, Scan
+from heliograph.data.error_layout import VELOCITY
 from heliograph.lie import s2, so3
 from heliograph.odometry.filter.error_state import local
 from heliograph.odometry.filter.opening import lidar_only, scans_of
@@ -188,6 +189,23 @@ def test_a_motion_that_the_lidar_sees_wins_over_rest_and_rest_over_a_slide(seed)
         simulation, packets, _ = packets_and_imu(scenario, seed)
         _, results = lidar_only(packets, simulation.rig, CONFIG, 1)
         assert rest_explains(scans_of(packets), results, CONFIG) is not moves
+
+
+def test_a_speed_that_no_scan_sees_stays_unknown():
+    """In a tunnel whose niches are rare the scans slide: their poses say nothing of the speed along it."""
+    scenario = SCENARIOS["tunnel"].thinned(beams=16, columns=180).varied(lidar={"max_range": 15.0})
+    simulation, packets, imu = packets_and_imu(scenario.varied(walk={"speed": 1.5, "begin": 8.0, "duration": 3.3}))
+    start = find_start(packets, imu, simulation.rig, CONFIG, threads=1)
+    truth = simulation.truth.motion(np.array([start.state.stamp_ns]))
+    assert (start.account.kind, start.account.verdict) == ("moving", "poor")
+    assert [event.severity for event in start.events] == ["warning"]
+    axis = (start.state.R_odom_imu @ truth.R_world_body[0].T)[:, 0]
+    P = start.state.covariance[VELOCITY, VELOCITY]
+    sigma, error = np.sqrt(axis @ P @ axis), start.state.v_odom @ axis - truth.v_world[0, 0]
+    assert 1.0 < sigma < 2.0 * CONFIG.filter.unknown_speed + 1.0
+    assert abs(error) < 3.0 * sigma
+    across = np.linalg.svd(axis[None])[2][1:]
+    assert np.sqrt(np.linalg.eigvalsh(across @ P @ across.T)[-1]) < 0.7  # the rest is seen
 
 
 def test_start_without_imu_warns_and_knows_no_gravity():
