@@ -26,6 +26,7 @@ from heliograph.sim.trajectory import Gait
 __all__ = ["compare_loam", "loam_section", "sweep_loam"]
 
 _Rows = list[dict[str, Any]]
+_SYSTEMS = (("filter", "lidar,imu"), ("loam", "lidar,imu"), ("filter", "lidar"), ("loam", "lidar"))
 _SHAKEN = Gait(frequency=1.1, bounce=0.08, lateral=0.10, roll_deg=18.0, pitch_deg=14.0, yaw_deg=22.0)
 
 LOAM_WORLDS: MappingProxyType[str, tuple[Scenario, int]] = MappingProxyType(
@@ -108,7 +109,7 @@ def compare_loam(names: Sequence[str], kitti: Path | None, work: Path, rival: Pa
     rows: _Rows = []
     for name, make in worlds(names, kitti).items():
         records, rig, truth = make()
-        for system, sensors in (("filter", "lidar,imu"), ("loam", "lidar,imu"), ("filter", "lidar")):
+        for system, sensors in _SYSTEMS:
             path, ms, counts = followed(records, rig, RunConfig(odometry=system), sensors)
             rows.append(_row(name, system, sensors, path, truth, ms) | {"statuses": counts})
             print(rows[-1], flush=True)

@@ -11,6 +11,7 @@ namespace heliograph {
 namespace {
 
 using Rows = Array<const uint16_t, nb::shape<-1>>;
+using Shares = Array<const float, nb::shape<-1>>;
 
 // The lines or planes that points were matched to, kept for the sums of several iterations.
 struct FeatureMatches {
@@ -56,11 +57,12 @@ FeatureMatches matched(const FeatureMap& map, const Points& points, const Matrix
   });
 }
 
-Tuple summed(const FeatureMatches& matches, const Points& points, const Matrix4& T, double gate, double kernel, double sigma,
-             int threads) {
+Tuple summed(const FeatureMatches& matches, const Points& points, const Matrix4& T, const Shares& shares, double gate,
+             double kernel, double sigma, int threads) {
   if (matches.found.size() != points.shape(0)) throw std::invalid_argument("one match a point is needed");
+  if (shares.size() != 0 && shares.size() != points.shape(0)) throw std::invalid_argument("one share a point is needed, or none");
   const NormalEquations sums = unlocked([&] {
-    return sum_features(matches.kind, matches.found, {span_of(points), T.data()}, gate, kernel, sigma, threads);
+    return sum_features(matches.kind, matches.found, {span_of(points), T.data()}, span_of(shares), gate, kernel, sigma, threads);
   });
   std::vector<double> information(sums.information, sums.information + 36), gradient(sums.gradient, sums.gradient + 6);
   std::vector<double> feigned(sums.feigned, sums.feigned + 36);
@@ -97,8 +99,8 @@ void bind_features(nb::module_& m) {
   nb::class_<FeatureMatches>(m, "FeatureMatches")
       .def("__len__", [](const FeatureMatches& matches) { return matches.found.size(); })
       .def("table", &table)
-      .def("sum", &summed, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "gate"_a, "kernel"_a, "sigma"_a,
-           "threads"_a);
+      .def("sum", &summed, "points_body"_a.noconvert(), "T_odom_body"_a.noconvert(), "shares"_a.noconvert(), "gate"_a, "kernel"_a,
+           "sigma"_a, "threads"_a);
   nb::class_<FeatureMap>(m, "FeatureMap")
       .def("__init__",
            [](FeatureMap* self, bool edges, double voxel, int max_points, int neighbours, double reach, double max_thickness, double min_spread) {

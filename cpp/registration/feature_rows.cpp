@@ -16,9 +16,11 @@ struct Row {
   double J[6];
 };
 
-// What moves a point along `n`: the rotation, a right perturbation, and the position.
-Row row_along(const double* n, const double* p, const double* T) {
-  double m[3];
+// What moves a point along `n`: the rotation, a right perturbation, and the position; a point that goes along in part
+// only, by that part.
+Row row_along(const double* direction, const double* p, const double* T, double part) {
+  double m[3], n[3];
+  for (int i = 0; i < 3; ++i) n[i] = part * direction[i];
   for (int i = 0; i < 3; ++i) m[i] = T[i] * n[0] + T[4 + i] * n[1] + T[8 + i] * n[2];
   return {{p[1] * m[2] - p[2] * m[1], p[2] * m[0] - p[0] * m[2], p[0] * m[1] - p[1] * m[0], n[0], n[1], n[2]}};
 }
@@ -50,7 +52,7 @@ struct Sums {
   double gate, kernel, sigma;
   NormalEquations out;
 
-  void add(const FeatureMatch& match, const float* point, const double* T) {
+  void add(const FeatureMatch& match, const float* point, const double* T, double part) {
     const double p[3] = {static_cast<double>(point[0]), static_cast<double>(point[1]), static_cast<double>(point[2])};
     double d[3], a[3], b[3];
     for (int i = 0; i < 3; ++i) d[i] = T[4 * i] * p[0] + T[4 * i + 1] * p[1] + T[4 * i + 2] * p[2] + T[4 * i + 3] - match.point[i];
@@ -67,17 +69,17 @@ struct Sums {
     const double c2 = kernel * kernel, ratio = c2 > 0.0 ? c2 / (c2 + square) : 1.0;
     const double w = ratio * ratio, inverse = 1.0 / (sigma * sigma + match.variance), weight = w * inverse;
     for (int k = 0; k < rows; ++k) {
-      const Row row = row_along(directions[k], p, T);
+      const Row row = row_along(directions[k], p, T, part);
       add_outer(row, weight, out.information);
       for (int i = 0; i < 6; ++i) out.gradient[i] += weight * r[k] * row.J[i];
     }
     // A tilt moves a plane's normal along either direction across it; of an edge, each row's normal along the line.
     const double noise = weight * match.tilt;
     if (edge) {
-      add_outer(row_along(match.axis, p, T), 2.0 * noise, out.feigned);
+      add_outer(row_along(match.axis, p, T, part), 2.0 * noise, out.feigned);
     } else {
-      add_outer(row_along(a, p, T), noise, out.feigned);
-      add_outer(row_along(b, p, T), noise, out.feigned);
+      add_outer(row_along(a, p, T, part), noise, out.feigned);
+      add_outer(row_along(b, p, T, part), noise, out.feigned);
     }
     out.feigned_square += noise * noise;
     out.weight += rows * weight;
@@ -105,14 +107,15 @@ std::vector<FeatureMatch> match_features(const FeatureMap& map, const FeatureSca
   return found;
 }
 
-NormalEquations sum_features(FeatureKind kind, std::span<const FeatureMatch> matches, const FeatureScan& scan, double gate,
-                             double kernel, double sigma, int threads) {
+NormalEquations sum_features(FeatureKind kind, std::span<const FeatureMatch> matches, const FeatureScan& scan,
+                             std::span<const float> shares, double gate, double kernel, double sigma, int threads) {
   const size_t count = matches.size(), chunks = (count + kChunk - 1) / kChunk;
   std::vector<Sums> partial(chunks, Sums{kind, gate, kernel, sigma, {}});
   parallel_chunks(chunks, threads, [&](size_t chunk) {
     for (size_t k = chunk * kChunk; k < std::min(count, (chunk + 1) * kChunk); ++k)
       if (matches[k].found)
-        partial[chunk].add(matches[k], scan.points_body.data() + 3 * k, scan.T_odom_body);
+        partial[chunk].add(matches[k], scan.points_body.data() + 3 * k, scan.T_odom_body,
+                           shares.empty() ? 1.0 : static_cast<double>(shares[k]));
   });
   NormalEquations total;
   for (const Sums& part : partial) {

@@ -19,8 +19,8 @@ struct FeatureScan {
 std::vector<FeatureMatch> match_features(const FeatureMap& map, const FeatureScan& scan, double sigma, int threads);
 
 // Sums over the pose's six columns; matches whose distance exceeds `gate` are left out. An edge is two rows that share one
-// weight.
-NormalEquations sum_features(FeatureKind kind, std::span<const FeatureMatch> matches, const FeatureScan& scan, double gate,
-                             double kernel, double sigma, int threads);
+// weight. `shares` says how much of a change of the pose moves each point along; where it is empty, all of it does.
+NormalEquations sum_features(FeatureKind kind, std::span<const FeatureMatch> matches, const FeatureScan& scan,
+                             std::span<const float> shares, double gate, double kernel, double sigma, int threads);
 
 }  // namespace heliograph

@@ -157,6 +157,7 @@ class FeatureMatches:
         self,
         points_body: Annotated[NDArray[numpy.float32], dict(shape=(None, 3), order="C", device="cpu", writable=False)],
         T_odom_body: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
+        shares: Annotated[NDArray[numpy.float32], dict(shape=(None,), order="C", device="cpu", writable=False)],
         gate: float,
         kernel: float,
         sigma: float,

@@ -59,9 +59,11 @@ def untimed(result):
     return replace(result, timings={})
 
 
-def test_odometry_without_an_imu_goes_on(simulation):
+@pytest.mark.parametrize("name", ["filter", "loam"])
+def test_odometry_without_an_imu_goes_on(simulation, name):
     messages = [message for message in simulation if isinstance(message, Scan)][:20]
-    make = lambda: make_odometry(RunConfig(), simulation.rig, frozenset({"lidar"}), 1)  # noqa: E731
+    config = RunConfig(odometry=name)
+    make = lambda: make_odometry(config, simulation.rig, frozenset({"lidar"}), 1)  # noqa: E731
     step = lambda odometry, scan: tuple(untimed(result) for result in odometry.add(scan))  # noqa: E731
     goes_on(make, step, messages, 15)
 

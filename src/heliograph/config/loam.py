@@ -95,6 +95,9 @@ class LoamConfig:
     max_jump : float
         A registration that ends farther from its start than this, beyond what the prediction allows for, is not
         believed [m].
+    scan_to_scan : bool
+        Without an IMU: whether each registration to the map begins where the sweep before puts the sweep. If not, that
+        is asked only where the map alone tells no place.
     """
 
     features: FeatureConfig = FeatureConfig()
@@ -114,6 +117,7 @@ class LoamConfig:
     passes: int = 2
     correlation: float = 4.0
     max_jump: float = 0.5
+    scan_to_scan: bool = False
 
     def __post_init__(self) -> None:
         check_range(self, "edge_voxel", "plane_voxel", "edge_reach", "plane_reach", "max_thickness", above=0.0)

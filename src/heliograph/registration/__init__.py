@@ -9,7 +9,7 @@ from heliograph.registration.blind_directions import (
     analyse_planes,
 )
 from heliograph.registration.degeneracy import Observability, observability
-from heliograph.registration.features import FeatureNoise, FeatureRegistration, register_features
+from heliograph.registration.features import FeatureNoise, FeatureRegistration, SweepFeatures, register_features
 from heliograph.registration.linearize import (
     BLOCKS,
     MapMounting,
@@ -35,6 +35,7 @@ __all__ = [
     "Observability",
     "PreparedCloud",
     "ResidualDistribution",
+    "SweepFeatures",
     "TrueShare",
     "align",
     "analyse_information",

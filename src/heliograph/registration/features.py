@@ -16,9 +16,11 @@ from heliograph.maps import FeatureMap, FeaturePoints
 from heliograph.registration.linearize import NormalEquations
 from heliograph.registration.noisy_normals import TrueShare, true_share
 
-__all__ = ["FeatureNoise", "FeatureRegistration", "register_features"]
+__all__ = ["FeatureNoise", "FeatureRegistration", "SweepFeatures", "register_features"]
 
 Array = NDArray[np.float64]
+
+_ALL = np.zeros(0, np.float32)  # shares of points that go with the pose altogether
 
 _NOISE_GAIN = 0.2  # share of a new scan's residuals in the noise that is believed
 
@@ -128,7 +130,7 @@ def register_features(
             matches, matched_at = [kind.match(p, T, sigma, threads) for kind, p, sigma in kinds], T
         scales = [wide * settings.kernel * sigma for _, _, sigma in kinds]
         edges, planes = (
-            _equations(found.sum(p, T, settings.gate * scale, scale, sigma, threads), len(p))
+            _equations(found.sum(p, T, _ALL, settings.gate * scale, scale, sigma, threads), len(p))
             for found, (_, p, sigma), scale in zip(matches, kinds, scales, strict=True)
         )
         sums = _joined(edges, planes)
@@ -147,6 +149,101 @@ def register_features(
     return FeatureRegistration(
         T_odom_body=T, edges=edges, planes=planes, sums=sums, seen=seen, iterations=count, converged=converged
     )
+
+
+class SweepFeatures:
+    """The features of a sweep against a map, linearised about its pose and its steady motion at once.
+
+    Matches are kept as long as the pose moves by less than ``config.rematch``.
+
+    Parameters
+    ----------
+    local_map : FeatureMap
+    before_end : (E,) float32, (P,) float32
+        How long before the sweep's end edges and planar points were seen [s].
+    noise : FeatureNoise
+    config : LoamConfig
+    settings : FilterConfig
+    threads : int
+        Threads of the native loops; the result does not depend on them.
+    """
+
+    def __init__(
+        self,
+        local_map: FeatureMap,
+        before_end: tuple[NDArray[np.float32], NDArray[np.float32]],
+        *,
+        noise: FeatureNoise,
+        config: LoamConfig,
+        settings: FilterConfig,
+        threads: int = 1,
+    ) -> None:
+        kinds = ((local_map.edges, noise.edge), (local_map.planes, noise.plane))
+        self._kinds = [(kind, sigma, before) for (kind, sigma), before in zip(kinds, before_end, strict=True)]
+        self._span = max((float(before.max(initial=0.0)) for before in before_end), default=0.0)
+        self._config, self._settings, self._threads = config, settings, threads
+        self._matches: list[Any] = []
+        self._matched_at = np.eye(4)
+
+    def sums(
+        self, points: FeaturePoints, T_odom_body: Array, wide: float
+    ) -> tuple[NormalEquations, NormalEquations, NormalEquations]:
+        """Return the sums of edges, of planar points and of both, their columns pose and motion (`BLOCKS`).
+
+        Parameters
+        ----------
+        points : FeaturePoints
+            Body frame at the sweep's end, de-skewed with the motion at hand [m].
+        T_odom_body : (4, 4) float64
+            Pose there [m].
+        wide : float
+            Scale of the kernel, as a multiple of its final one.
+        """
+        both, settings, T = (points.edges, points.planes), self._settings, T_odom_body
+        if not self._matches or _apart(self._matched_at, T, settings.typical_range) > self._config.rematch:
+            self._matched_at = T
+            self._matches = [
+                kind.match(p, T, sigma, self._threads) for (kind, sigma, _), p in zip(self._kinds, both, strict=True)
+            ]
+        found = [
+            self._with_motion(matches, p, T, kind, wide)
+            for matches, p, kind in zip(self._matches, both, self._kinds, strict=True)
+        ]
+        return found[0], found[1], _joined(*found)
+
+    def _with_motion(
+        self,
+        matches: Any,  # noqa: ANN401
+        points: NDArray[np.float32],
+        T: Array,
+        kind: tuple[Any, float, NDArray[np.float32]],
+        wide: float,
+    ) -> NormalEquations:
+        """Return sums over pose and motion from sums over the pose whose rows are weighed by a share.
+
+        A point seen a time t before the end moves with the velocity by -t and with the gyroscope's bias, which the rate
+        has the opposite sign of, by t. Rows weighed by 1, by t and by 1 + t give all three moments of t.
+        """
+        _, sigma, before_end = kind
+        scale, span = wide * self._settings.kernel * sigma, self._span if self._span > 0.0 else 1.0
+        late = np.asarray(before_end / np.float32(span), dtype=np.float32)
+        pose, square, both = (
+            matches.sum(points, T, shares, self._settings.gate * scale, scale, sigma, self._threads)
+            for shares in (_ALL, late, np.float32(1.0) + late)
+        )
+        turn = span * np.block([[np.zeros((3, 3)), np.eye(3)], [-np.eye(3), np.zeros((3, 3))]])  # motion to pose
+
+        def joined(H0: Array, H2: Array, H: Array) -> Array:
+            H1 = 0.5 * (H - H0 - H2)
+            return np.asarray(np.block([[H0, H1 @ turn], [turn.T @ H1, turn.T @ H2 @ turn]]))
+
+        return replace(
+            _equations(pose, len(points)),
+            blocks=("pose", "motion"),
+            information=joined(pose.information, square.information, both.information),
+            feigned=joined(pose.feigned, square.feigned, both.feigned),
+            gradient=np.concatenate([pose.gradient, turn.T @ square.gradient]),
+        )
 
 
 def _moved(T: Array, step: Array) -> Array:

@@ -5,9 +5,9 @@ import pytest
 from tests.reference.loam import sums_slowly
 
 from heliograph.config import FilterConfig, LoamConfig
-from heliograph.lie import se3
+from heliograph.lie import se3, so3
 from heliograph.maps import FeatureMap, FeaturePoints
-from heliograph.registration import FeatureNoise, register_features
+from heliograph.registration import FeatureNoise, SweepFeatures, register_features
 
 CONFIG, FILTER = LoamConfig(), FilterConfig()
 NOISE = FeatureNoise(edge=0.05, plane=0.03)
@@ -55,13 +55,13 @@ def test_sums_equal_the_slow_twin(world, edges):
     T = se3.exp(np.array([0.01, -0.02, 0.03, 0.05, -0.04, 0.03]))
     points = (scan.edges if edges else scan.planes)[:300]
     found = (local_map.edges if edges else local_map.planes).match(points, T, 0.03, 1)
-    sums = found.sum(points, T, 0.2, 0.1, 0.03, 1)
+    sums = found.sum(points, T, np.zeros(0, np.float32), 0.2, 0.1, 0.03, 1)
     rows = [(r[1:4], r[4:7], r[7], r[8]) if r[0] else None for r in found.table()]
     expected = sums_slowly(rows, points, T, edges=edges, gate=0.2, kernel=0.1, sigma=0.03)
     for got, want in zip((sums.information, sums.gradient, sums.feigned), expected, strict=True):
         np.testing.assert_allclose(got, want, rtol=1e-9, atol=1e-9 * np.abs(want).max())
     assert 0 < sums.matches <= sum(row is not None for row in rows)
-    many = found.sum(points, T, 0.2, 0.1, 0.03, 3)
+    many = found.sum(points, T, np.zeros(0, np.float32), 0.2, 0.1, 0.03, 3)
     assert many.information.tobytes() == sums.information.tobytes()
 
 
@@ -110,3 +110,39 @@ def test_nothing_to_match_moves_nothing():
     np.testing.assert_array_equal(found.T_odom_body, np.eye(4))
     assert found.sums.matches == 0
     assert not found.seen.share.any()
+
+
+@pytest.mark.parametrize("edges", [True, False])
+def test_a_point_that_goes_along_in_part_counts_in_part(world, edges):
+    local_map, scan = world
+    T, points = np.eye(4), (scan.edges if edges else scan.planes)[:40]
+    shares = np.linspace(0.0, 1.0, len(points), dtype=np.float32)
+    kind = local_map.edges if edges else local_map.planes
+    sums = kind.match(points, T, 0.03, 1).sum(points, T, shares, 0.2, 0.1, 0.03, 1)
+    one_by_one = [
+        kind.match(p, T, 0.03, 1).sum(p, T, np.zeros(0, np.float32), 0.2, 0.1, 0.03, 1) for p in points[:, None]
+    ]
+    assert sums.matches == sum(one.matches for one in one_by_one) > 20
+    for name, power in (("information", 2), ("feigned", 2), ("gradient", 1)):
+        expected = sum(float(s) ** power * getattr(one, name) for s, one in zip(shares, one_by_one, strict=True))
+        assert np.allclose(getattr(sums, name), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_the_columns_of_motion_are_what_velocity_and_bias_do_to_the_points(world):
+    local_map, scan = world
+    seconds = tuple(np.linspace(0.1, 0.0, len(p), dtype=np.float32) for p in (scan.edges, scan.planes))
+
+    def swept(v, bias):
+        moved = [
+            np.einsum("nij,nj->ni", so3.exp(t[:, None] * bias), p) - t[:, None] * v
+            for t, p in zip(seconds, (scan.edges, scan.planes), strict=True)
+        ]
+        return FeaturePoints(edges=moved[0].astype(np.float32), planes=moved[1].astype(np.float32))
+
+    features = SweepFeatures(local_map, seconds, noise=NOISE, config=CONFIG, settings=FILTER)
+    zero, v, bias = np.zeros(3), np.array([0.05, -0.04, 0.03]), np.array([-0.01, 0.02, 0.015])
+    at_rest = features.sums(swept(zero, zero), np.eye(4), 1e3)[2]
+    moving = features.sums(swept(v, bias), np.eye(4), 1e3)[2]
+    assert at_rest.blocks == ("pose", "motion") and at_rest.information.shape == (12, 12)
+    change = at_rest.information[:, 6:] @ np.concatenate([v, bias])
+    assert np.linalg.norm(moving.gradient - at_rest.gradient - change) < 0.02 * np.linalg.norm(change)

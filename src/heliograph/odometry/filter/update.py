@@ -83,6 +83,7 @@ def iterated_update(
     tolerance_position: float,
     settled: Callable[[int], bool] = lambda _: True,
     considered: Array | None = None,
+    start: NavState | None = None,
 ) -> FilterUpdate[L]:
     """Find the state that fits prior and measurement best, by Gauss-Newton, and its covariance.
 
@@ -99,8 +100,10 @@ def iterated_update(
     considered : (K, K) float64, optional
         Projects an error onto what must not move: its uncertainty counts in the gain of all else and stays as it is
         (S. Schmidt, "Application of state-space methods to navigation problems", 1966). The correlations are learnt.
+    start : NavState, optional
+        Where the iteration begins; the prior if not given.
     """
-    state = prior
+    state = prior if start is None else start
     converged = False
     for iteration in range(max_iterations):
         measurement = linearize(state, iteration)

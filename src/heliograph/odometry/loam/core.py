@@ -1,7 +1,9 @@
-"""LiDAR odometry and mapping on edge and planar points (J. Zhang, S. Singh, "LOAM", RSS 2014), led by an IMU."""
+"""LiDAR odometry and mapping on edge and planar points (J. Zhang, S. Singh, "LOAM", RSS 2014)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -19,12 +21,14 @@ from heliograph.cloud import (
 )
 from heliograph.config import RunConfig
 from heliograph.data import Event, ImuBatch, NavState, OnlineCalibration, Scan, ScanResult
+from heliograph.data.error_layout import POSITION
 from heliograph.imu import ImuPath
 from heliograph.maps import FeatureMap, FeaturePoints
 from heliograph.odometry.filter.map_keeper import MapKeeper
 from heliograph.odometry.filter.motion import MotionModel, corrected_path, sweep_path
 from heliograph.odometry.filter.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.loam.matching import FeatureMatcher, PoseFit, anchored
+from heliograph.odometry.loam.steady import ScanToScan
 from heliograph.odometry.loam.sweep import FeatureSweep
 from heliograph.snapshots import PART, Stateful
 
@@ -39,7 +43,7 @@ class LoamCore(Stateful):
     start : NavState
         At or before the first scan's first point; its frame is made the odom frame.
     motion : MotionModel
-        What carries the state from scan to scan: the IMU.
+        What carries the state from scan to scan.
     config : RunConfig
     events : list of Event
         Told of how the scan lines are found, and what of a cloud is not used.
@@ -53,6 +57,7 @@ class LoamCore(Stateful):
         "_motion": PART,
         "_keeper": PART,
         "_matcher": PART,
+        "_scan_to_scan": PART,
         "_rule": (LineRule, None),
         "_history": (ImuPath, None),
         "_count": int,
@@ -66,6 +71,7 @@ class LoamCore(Stateful):
         self._motion, self._config, self._events, self._threads = motion, config, events, threads
         self._keeper = MapKeeper(self.map, config.filter, config.map, start.p_odom)
         self._matcher = FeatureMatcher(config, threads=threads)
+        self._scan_to_scan = ScanToScan(config, threads=threads)
         self._rule: LineRule | None = None
         self._history: ImuPath | None = None
         self._count = 0
@@ -73,7 +79,7 @@ class LoamCore(Stateful):
     def process(self, scan: Scan, imu: ImuBatch) -> ScanResult:
         """Process one scan; the numbers are those of docs/theory/loam.md."""
         watch = Stopwatch()
-        prior, path = self._predict(imu, scan.end_ns)  # (1) the IMU
+        prior, path = self._predict(imu, scan.end_ns)  # (1) the IMU, or a constant velocity
         watch.lap("predict")
 
         gated = self._gated(scan)
@@ -81,7 +87,7 @@ class LoamCore(Stateful):
         watch.lap("features")
 
         sweep = FeatureSweep(gated, features, self.state.T_imu_lidar, self._config, self._threads)
-        fit = self._matcher.match(prior, path, sweep, self.map)  # (5) to (8) scan to map, (9) fusion
+        fit = self._match(prior, path, sweep)  # (5) to (8) scan to map, (9) fusion; (11) without an IMU
         posterior = fit.state if fit is not None else anchored(prior) if self._keeper.empty else prior
         final = sweep_path(path, prior, posterior)
         path = corrected_path(path, posterior)
@@ -113,6 +119,31 @@ class LoamCore(Stateful):
         self._keeper.predicted(ahead.growth)
         return ahead.state, ahead.path
 
+    def _match(self, prior: NavState, path: ImuPath, sweep: FeatureSweep) -> PoseFit | None:
+        if self._motion.inertial:
+            return self._matcher.match(prior, path, sweep, self.map)
+        fits = (
+            self._matcher.match_in_motion(prior, start, path, sweep, self.map)
+            for start in self._starts(prior, path, sweep)
+        )
+        fit = next((fit for fit in fits if fit is not None), None)
+        if fit is None:
+            return None
+        seconds = float(path.stamps_ns[-1] - path.stamps_ns[0]) * 1e-9
+        span = float(max(before.max(initial=0.0) for before in sweep.before_end))
+        converged = fit.registration.converged
+        state = self._motion.settled(prior, fit.state, converged=converged, seconds=seconds, sweep=span)
+        return replace(fit, update=replace(fit.update, state=state))
+
+    def _starts(self, prior: NavState, path: ImuPath, sweep: FeatureSweep) -> Iterator[NavState]:
+        """Yield where to begin on the map: as predicted, and where the sweep before puts this one."""
+        always = self._config.loam.scan_to_scan
+        if not always:
+            yield prior
+        start = self._scan_to_scan.led(prior, path, sweep, self._matcher.opening(prior))
+        if always or start is not prior:
+            yield start
+
     def _gated(self, scan: Scan) -> Scan:
         """Return the scan with the points inside the range gate, the very same where all are."""
         keep = range_gate(scan.points, self._config.cloud.min_range, self._config.cloud.max_range)
@@ -142,9 +173,13 @@ class LoamCore(Stateful):
 
     def _extend(self, points: FeaturePoints, posterior: NavState, fit: PoseFit | None) -> NavState:
         """Return the state in the frame of the map with the scan's features in it, where the scan has a place there."""
+        if not self._motion.inertial:
+            self._scan_to_scan.remember(points, posterior)
         if fit is not None:
             self._keeper.updated(fit.update.retained)
-            return self._keeper.extend(points, posterior.T_odom_imu, posterior, fit.seen)
+            # Without an IMU, what did not settle ties no new ground to the frame; the next scan that does, ties it.
+            tied = fit.seen if fit.update.converged or self._motion.inertial else None
+            return self._keeper.extend(points, posterior.T_odom_imu, posterior, tied)
         if self._keeper.empty and len(points) > 0:
             return self._keeper.extend(points, posterior.T_odom_imu, posterior, None)
         return posterior
@@ -193,4 +228,13 @@ class LoamCore(Stateful):
             config=self._config.filter,
         )
         self.state, self._history, self._count = state, path, self._count + 1
-        return result
+        return self._judged(result, fit)
+
+    def _judged(self, result: ScanResult, fit: PoseFit | None) -> ScanResult:
+        """Return the result with a status that says no more than is known: without an IMU a match is not enough."""
+        if self._motion.inertial or fit is None:
+            return result
+        sigma = float(np.sqrt(np.linalg.eigvalsh(result.pose_covariance[POSITION, POSITION])[-1]))
+        if sigma > self._config.filter.lost_sigma:
+            return replace(result, status="lost")
+        return result if fit.update.converged else replace(result, status="predicted")

@@ -17,6 +17,7 @@ from heliograph.maps import FeatureMap
 from heliograph.odometry.filter.measurement import ScanMeasurement
 from heliograph.odometry.filter.motion import sweep_path
 from heliograph.odometry.filter.update import FilterUpdate, iterated_update
+from heliograph.odometry.loam.steady import registered_in_motion
 from heliograph.odometry.loam.sweep import FeatureSweep
 from heliograph.registration import FeatureNoise, FeatureRegistration, TrueShare, register_features
 from heliograph.snapshots import Stateful
@@ -84,6 +85,38 @@ class FeatureMatcher(Stateful):
             self._learn(fit.registration)
         return fit
 
+    def match_in_motion(
+        self, prior: NavState, start: NavState, path: ImuPath, sweep: FeatureSweep, local_map: FeatureMap
+    ) -> PoseFit | None:
+        """Return the fit of a sweep whose motion is found along, None where it is not to be trusted.
+
+        Parameters
+        ----------
+        prior, start : NavState
+            As predicted to the sweep's end, and where to begin.
+        path : ImuPath
+            As predicted.
+        sweep : FeatureSweep
+        local_map : FeatureMap
+        """
+        if len(local_map) == 0 or sweep.count < self._config.filter.min_matches:
+            return None
+        found, update = registered_in_motion(
+            prior,
+            path,
+            sweep,
+            local_map,
+            noise=self.noise,
+            config=self._config,
+            opening=self.opening(prior),
+            start=start,
+            threads=self._threads,
+        )
+        if not self._trusted(prior, prior, found):
+            return None
+        self._learn(found)
+        return PoseFit(registration=found, update=update, seen=found.seen)
+
     def _fitted(
         self, prior: NavState, predicted: ImuPath, sweep: FeatureSweep, local_map: FeatureMap
     ) -> PoseFit | None:
@@ -106,7 +139,8 @@ class FeatureMatcher(Stateful):
             return None
         return PoseFit(registration=found, update=fused(prior, found, self._config), seen=found.seen)
 
-    def _opening(self, prior: NavState) -> float:
+    def opening(self, prior: NavState) -> float:
+        """Return how wide a kernel a prediction asks for at first [m]."""
         return min(_OPENING_SIGMAS * self._unknown(prior), self._config.filter.max_kernel)
 
     def _register(
@@ -119,7 +153,7 @@ class FeatureMatcher(Stateful):
             noise=self.noise,
             config=self._config.loam,
             settings=self._config.filter,
-            opening=self._opening(prior),
+            opening=self.opening(prior),
             threads=self._threads,
         )
 

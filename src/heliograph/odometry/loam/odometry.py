@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from heliograph.config import RunConfig
 from heliograph.data import Event, NavState, Rig
-from heliograph.errors import ConfigError, DataError
+from heliograph.errors import ConfigError
 from heliograph.odometry.filter.motion import MotionModel
 from heliograph.odometry.filter.odometry import FilterOdometry
 from heliograph.odometry.loam.core import LoamCore
@@ -21,19 +21,17 @@ class LoamOdometry(FilterOdometry):
     rig : Rig
         Mounting; LOAM takes it as given.
     sensors : frozenset of str
-        ``"lidar"`` and ``"imu"``, or the IMU alone, which is dead reckoned.
+        ``"lidar"``, ``"imu"`` or both; the IMU alone is dead reckoned.
     threads : int
         Threads of the native loops; the results do not depend on them.
 
     Raises
     ------
     ConfigError
-        There is no IMU to lead; or mounting or clock are to be estimated along, which only the filter does.
+        Mounting or clock are to be estimated along, which only the filter does.
     """
 
     def __init__(self, config: RunConfig, rig: Rig, *, sensors: frozenset[str], threads: int = 1) -> None:
-        if "imu" not in sensors:
-            raise ConfigError("loam needs an IMU to lead from scan to scan, and there is none; use --odometry filter")
         if config.filter.estimate_mounting or config.filter.estimate_time_offset:
             raise ConfigError(
                 "loam takes mounting and clock as given; use --odometry filter to estimate them along, or set "
@@ -48,6 +46,4 @@ class LoamOdometry(FilterOdometry):
             self.events.append(Event(code="mounting-uncertain", message=text))
 
     def _make_core(self, state: NavState, motion: MotionModel) -> LoamCore:
-        if not motion.inertial:
-            raise DataError("loam needs an IMU, and none of its samples are at the first scans; use --odometry filter")
         return LoamCore(state, motion, self._config, events=self.events, threads=self._threads)

@@ -33,6 +33,18 @@ class FeatureSweep:
         self._scan, self._features, self._T_imu_lidar, self._threads = scan, features, T_imu_lidar, threads
         self._deskews = config.cloud.deskew != "off"
 
+    @property
+    def before_end(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """How long before the sweep's end edges (E,) and planar points (P,) were seen [s]; zeros if none are moved."""
+        edges, planes = (self._before_end(k) for k in (self._features.edges, self._features.planes))
+        return edges, planes
+
+    def _before_end(self, indices: NDArray[np.int32]) -> NDArray[np.float32]:
+        if not self._deskews:
+            return np.zeros(len(indices), np.float32)
+        span_ns = self._scan.end_ns - self._scan.stamp_ns
+        return np.asarray((span_ns - self._scan.offsets_ns[indices]) * np.float64(1e-9), dtype=np.float32)
+
     def points(self, path: ImuPath) -> FeaturePoints:
         """Return the features to match, de-skewed along a path, imu frame at its end."""
         return FeaturePoints(
