@@ -15,6 +15,7 @@ inline constexpr int32_t kLidarPose = kFirstBrought + 4;
 inline constexpr int32_t kCalibrationPrior = kFirstBrought + 5;
 inline constexpr int32_t kAnchoredPosition = kFirstBrought + 6;
 inline constexpr int32_t kScaledMotion = kFirstBrought + 7;
+inline constexpr int32_t kMeanForce = kFirstBrought + 8;
 
 // Doubles of a measurement on gravity: the vector, or the magnitude behind a variable.
 constexpr size_t gravity_numbers(bool variable) { return variable ? 1 : 3; }

@@ -36,6 +36,11 @@ FactorShape shape_of_scaled_motion(const ShapeQuery& q) {
   return {plain || extended, 3, 6};
 }
 
+FactorShape shape_of_mean_force(const ShapeQuery& q) {
+  const bool pose = q.is(0, Manifold::se3) || q.is(0, Manifold::nav);
+  return {q.arity() == 3 && pose && q.vector(1, 3) && q.vector(2, 3), 3, 12};
+}
+
 FactorShape shape_of_velocity(const ShapeQuery& q) { return {q.arity() == 1 && q.is(0, Manifold::nav), 3, 3}; }
 
 FactorShape shape_of_lidar_pose(const ShapeQuery& q) {
@@ -64,6 +69,7 @@ constexpr ResidualKind kKinds[] = {
     kind_of(kCalibrationPrior, shape_of_calibration_prior),
     kind_of(kAnchoredPosition, shape_of_anchored_position),
     kind_of(kScaledMotion, shape_of_scaled_motion),
+    kind_of(kMeanForce, shape_of_mean_force),
 };
 
 }  // namespace

@@ -2,6 +2,7 @@
 // Compiled once for each instruction set, as graph/factors/factors.inl is: finds the residual of a sensor's group.
 #include "factors/antenna.inl"
 #include "factors/lidar_pose.inl"
+#include "factors/mean_force.inl"
 #include "factors/preintegrated.inl"
 
 namespace heliograph {
@@ -43,6 +44,9 @@ struct Sensors {
       case kScaledMotion:
         return action.view.manifold[0] == Manifold::se3 ? action.template with<ScaledMotion<PoseSe3>>()
                                                         : action.template with<ScaledMotion<PoseNav>>();
+      case kMeanForce:
+        return action.view.manifold[0] == Manifold::se3 ? action.template with<MeanForce<PoseSe3>>()
+                                                        : action.template with<MeanForce<PoseNav>>();
       default: return false;
     }
   }

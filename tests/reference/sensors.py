@@ -41,6 +41,10 @@ def scaled_motion(T_i, T_j, scale, arm, d):
     return T_i[:3, :3].T @ (T_j[:3, 3] + T_j[:3, :3] @ arm - T_i[:3, 3]) - arm - scale[0] * d
 
 
+def mean_force(T, up, bias, z, turning):
+    return T[:3, :3].T @ up + turning @ bias - z
+
+
 def lidar_pose(X, E, clock, Z, omega, span):
     later = clock[0] + span * clock[1]
     moved = se3.from_rotation_translation(X[:3, :3] @ so3.exp(later * omega), X[:3, 3] + later * X[:3, 4])

@@ -43,6 +43,9 @@ class SlamConfig:
     window : int
         Keyframes whose velocities and biases the graph keeps; what IMU and LiDAR said of a step before those is
         summarised as a step of poses; 0: all are kept. A keyframe takes less memory then, and longer.
+    level_window : float
+        Where no preintegrated factor holds the level, with poses of a file or behind `window`, the mean specific force
+        of this long does [s]; 0: nothing.
     pose_rotation_sigma_deg, pose_position_sigma : float
         What poses read from a file may drift over a metre; it grows with the root of the way [deg], [m].
     """
@@ -61,6 +64,7 @@ class SlamConfig:
     loop_pieces: int = 4
     loop_worth: float = 0.03
     window: int = 0
+    level_window: float = 20.0
     pose_rotation_sigma_deg: float = 0.5
     pose_position_sigma: float = 0.05
 
@@ -68,6 +72,6 @@ class SlamConfig:
         check_range(self, "keyframe_distance", "keyframe_angle_deg", "keyframe_interval", "cloud_voxel", above=0.0)
         check_range(self, "step_rotation_sigma_deg", "step_position_sigma", "level_sigma_deg", above=0.0)
         check_range(self, "keyframe_overlap", low=0.0, high=1.0)
-        check_range(self, "loop_worth", "window", low=0)
+        check_range(self, "loop_worth", "window", "level_window", low=0)
         check_range(self, "loop_every", "loop_pieces", low=1)
         check_range(self, "pose_rotation_sigma_deg", "pose_position_sigma", above=0.0)

@@ -4,6 +4,7 @@ from heliograph.factors.calibration_prior import CalibrationPrior
 from heliograph.factors.gravity import GravityDirection, GravityVector
 from heliograph.factors.inertial import CombinedImu, PreintegratedImu
 from heliograph.factors.lidar_pose import LidarPose
+from heliograph.factors.mean_force import MeanForce
 from heliograph.factors.positions import AnchoredPosition, LeverArmPosition, ScaledMotion, Velocity
 from heliograph.graph.model.records import NativeRecord
 
@@ -16,6 +17,7 @@ __all__ = [
     "GravityVector",
     "LeverArmPosition",
     "LidarPose",
+    "MeanForce",
     "PreintegratedImu",
     "ScaledMotion",
     "Velocity",
@@ -27,6 +29,7 @@ SENSOR_FACTORS: tuple[type[NativeRecord], ...] = (
     CombinedImu,
     LeverArmPosition,
     LidarPose,
+    MeanForce,
     PreintegratedImu,
     ScaledMotion,
     Velocity,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +20,16 @@ from heliograph.lie import SE3, se3
 from heliograph.slam.covariances import OdometryChain
 from heliograph.slam.gnss import GnssFactors, KeptFixes
 from heliograph.slam.inertial_factors import InertialFactors
+from heliograph.slam.levelling import Levelling
 from heliograph.slam.loop_search import Candidate, LoopSearch
 from heliograph.slam.loops import Ledger, LedgerEntry, LoopEvidence, diagonal, finished
+from heliograph.slam.open_query import OpenQuery
 from heliograph.slam.past_steps import PastSteps
 from heliograph.slam.pose_factors import PoseFactors
 from heliograph.slam.step_log import StepLog, factors_for
 from heliograph.slam.store import KeyframeStore
 from heliograph.slam.wheels import WheelFactors
-from heliograph.snapshots import PART, Snapshot, Stateful, array, fixed, require
+from heliograph.snapshots import PART, Snapshot, require
 
 __all__ = ["BackEnd", "GraphUpdate"]
 
@@ -44,6 +45,7 @@ _STATE = {
     "moved": float,
     "in_force": {int: int},
     "past": PART,
+    "levels": PART,
     "numbers": {int: [int]},
     "bias_number": int,
 }
@@ -115,6 +117,7 @@ class BackEnd:
         self._news = _News()
         self._factors: InertialFactors | PoseFactors | None = None
         self._past: PastSteps | None = None
+        self._levels: Levelling | None = None
         self._numbers: dict[int, list[int]] = {}  # keyframe -> numbers in the smoother of the factors of the step to it
         self._bias_number = -1  # that of the prior of the oldest biases that are there
         self._said = 0  # factors of the latest step itself
@@ -208,6 +211,7 @@ class BackEnd:
             "moved": self._news.moved,
             "in_force": self._in_force,
             "past": None if self._past is None else self._past.snapshot(),
+            "levels": None if self._levels is None else self._levels.snapshot(),
             "numbers": self._numbers,
             "bias_number": self._bias_number,
         }
@@ -232,10 +236,11 @@ class BackEnd:
         if len(self.store):
             self._begin(self.store[0])
             self._before = self.store[len(self.store) - 1]
-        if (self._past is None) != (snapshot["past"] is None):
-            raise DataError("the state of a back-end is one of other sensors")
-        if self._past is not None:
-            self._past.restore(snapshot["past"])
+        for name, part in (("past", self._past), ("levels", self._levels)):
+            if (part is None) != (snapshot[name] is None):
+                raise DataError("the state of a back-end is one of other sensors")
+            if part is not None:
+                part.restore(snapshot[name])
         self._numbers, self._bias_number = snapshot["numbers"], snapshot["bias_number"]
         if snapshot["query"] is not None:
             self._query = OpenQuery.restored(snapshot["query"])
@@ -305,8 +310,9 @@ class BackEnd:
         whole = self._steps.graph(self.store, self._past)
         for entry in self.ledger.accepted():
             whole.add(_loop_factor(entry))
-        for group in self.fixes.factors().groups():
-            whole.adopt(group)
+        if self._levels is not None:
+            _extend(whole, self._levels.factors())
+        _extend(whole, self.fixes.factors())
         return whole, self._smoother.estimate()
 
     def account(self, files: tuple[str, ...] = ()) -> GraphAccount:
@@ -335,11 +341,9 @@ class BackEnd:
             graph, values = self._factors.step(self._before, keyframe, T_map_before)
             self._said = len(graph)
             self._steps.note(keyframe, T_map_before)
-            rolled, scale = self.wheels.step(self._before, keyframe, self._smoother)
-            for added in rolled.groups():
-                graph.adopt(added)
-            for key in scale.keys().tolist():
-                values.insert(key, scale.at(key))
+            _extend(graph, *self.wheels.step(self._before, keyframe, self._smoother), values)
+            if self._past is None and self._levels is not None:  # poses without gravity: the windows tell it
+                _extend(graph, *self._levels.add(self._before, keyframe), values)
         self._before = keyframe
         return graph, values
 
@@ -347,6 +351,8 @@ class BackEnd:
         self._factors = factors_for(first, self._config)
         if isinstance(self._factors, InertialFactors):
             self._past = PastSteps(self._factors)
+        if self._past is None or self._config.slam.window:  # else the preintegrated factors hold the level
+            self._levels = Levelling(self._config.slam, self._config.imu, up_known=self._past is not None)
         return self._factors
 
     def _smooth(self, keyframe: Keyframe, graph: FactorGraph, values: Values) -> None:
@@ -358,6 +364,8 @@ class BackEnd:
             before, after = self.store[leaving], self.store[leaving + 1]
             past.take(before, after)
             T_map_imu = np.ascontiguousarray(self._smoother.estimate(X(after.index)).matrix[:4, :4])
+            if self._levels is not None:
+                _extend(graph, *self._levels.add(before, after), values)
             for record in (past.step(leaving), *past.reach(T_map_imu)):
                 graph.add(record)
             gone = [*self._numbers.pop(after.index), self._bias_number]
@@ -419,42 +427,6 @@ class BackEnd:
         )
 
 
-class OpenQuery(Stateful):
-    """A keyframe at which loops are being looked for, and how far that has come.
-
-    Parameters
-    ----------
-    index : int
-        The keyframe.
-    T_map_imu : (K, 4, 4) float64
-        Poses of all keyframes as the graph had them when it began.
-    candidates : tuple of Candidate
-    """
-
-    _STATE: ClassVar = {
-        "index": int,
-        "T_map_imu": array(np.float64, None, 4, 4),
-        "candidates": [Candidate],
-        "at": int,
-        "pieces": int,
-        "held": [fixed(int, int, int)],
-    }
-
-    def __init__(self, index: int, T_map_imu: Array, candidates: tuple[Candidate, ...]) -> None:
-        self.index, self.T_map_imu, self.candidates = index, T_map_imu, candidates
-        self.at = self.pieces = 0
-        """The candidate that is looked at, and pieces of that which are done."""
-        self.held: list[tuple[int, int, int]] = []
-        """Local maps that were there when it began to be looked at."""
-
-    @classmethod
-    def restored(cls, snapshot: Snapshot) -> OpenQuery:
-        """Return the query of a snapshot."""
-        query = cls(0, np.zeros((0, 4, 4)), ())
-        query.restore(snapshot)
-        return query
-
-
 @dataclass(slots=True)
 class _News:
     """What has come of the search since the last keyframe."""
@@ -462,6 +434,15 @@ class _News:
     loops: list[LedgerEntry] = field(default_factory=list)
     candidates: dict[int, tuple[int, ...]] = field(default_factory=dict)
     moved: float = 0.0
+
+
+def _extend(graph: FactorGraph, more: FactorGraph, new: Values | None = None, values: Values | None = None) -> None:
+    """Bring factors into a graph, and the variables that begin with them into its values."""
+    for group in more.groups():
+        graph.adopt(group)
+    if new is not None and values is not None:
+        for key in new.keys().tolist():
+            values.insert(key, new.at(key))
 
 
 def _furthest(before: Array, after: Array) -> float:

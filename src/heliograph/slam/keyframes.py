@@ -74,7 +74,7 @@ class KeyframeSelector(Stateful):
             v_odom=result.v_odom,
             gyro_bias=result.gyro_bias,
             accel_bias=result.accel_bias,
-            g_odom=result.g_odom,
+            g_odom=np.zeros(3) if self._poses_given else result.g_odom,  # nobody says which way is up in their frame
             step_covariance=self._step_covariance(result),
             lidar_information=graph_information(result.lidar_information, result.T_odom_imu),
             points_imu=result.points_imu[picked],

@@ -16,6 +16,7 @@ from heliograph.factors import (
     GravityVector,
     LeverArmPosition,
     LidarPose,
+    MeanForce,
     PreintegratedImu,
     ScaledMotion,
     Velocity,
@@ -199,6 +200,16 @@ def test_scaled_motion_is_its_twin(rng, extended):
     assert_record(factor, [T_i, T_j, scale], lambda k, i, j, s: twin.scaled_motion(i, j, s, arm[k], d[k]))
 
 
+@pytest.mark.parametrize("extended", [False, True])
+def test_mean_force_is_its_twin(rng, extended):
+    T, keys, up, bias, z = poses(rng, extended), np.arange(COUNT), *rng.normal(scale=5.0, size=(3, COUNT, 3))
+    turning = rng.normal(size=(COUNT, 3, 3))
+    factor = MeanForce(keys, 10 + keys, 20 + keys, z, turning, ONE)
+    assert_record(factor, [T, up, bias], lambda k, T, u, b: twin.mean_force(T, u, b, z[k], turning[k]))
+    with pytest.raises(GraphError, match=r"a force \(3,\) and a turning \(3, 3\)"):
+        MeanForce(keys, 10 + keys, 20 + keys, z, turning[:2], ONE)
+
+
 def test_velocity_is_its_twin(rng):
     z = rng.normal(size=(COUNT, 3))
     assert_record(Velocity(np.arange(COUNT), z, ONE), [poses(rng)], lambda k, X: X[:3, 4] - z[k])
@@ -285,6 +296,7 @@ def digest():
     parts.append(LeverArmPosition(keys, z, ONE, arm_key=10 + keys).evaluate(X_i, rng.normal(size=(COUNT, 3))))
     parts.append(Velocity(keys, z, ONE).evaluate(X_i))
     parts.append(AnchoredPosition(keys, 10 + keys, z, ONE).evaluate(X_i, poses(rng, False)))
+    parts.append(MeanForce(keys, 10 + keys, 20 + keys, z, np.eye(3), ONE).evaluate(X_i, z, 2.0 * z))
     parts.append(ScaledMotion(keys, 10 + keys, 20 + keys, z, ONE).evaluate(X_i, X_j, np.ones((COUNT, 1))))
     E, clock = SE3.exp(0.5 * rng.normal(size=(COUNT, 6))), rng.normal(size=(COUNT, 2))
     sweep = LidarPose(keys, 10 + keys, 20 + keys, poses(rng, False), z, np.ones(COUNT), ONE)

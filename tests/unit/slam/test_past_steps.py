@@ -62,7 +62,7 @@ def test_old_steps_hold_the_poses_in_less_memory_and_to_the_safe_side(tmp_path, 
         assert (sigmas[1] > 0.95 * sigmas[0]).all()  # nothing seems to be known better than it is
         np.testing.assert_allclose(sigmas[1][2], sigmas[0][2], rtol=0.02)  # the heading is the LiDAR's
     graph, values = short.graph()
-    assert len(whole.graph()[1]) == 2 * COUNT and len(values) == COUNT + WINDOW + 1
+    assert len(whole.graph()[1]) == 2 * COUNT and len(values) == COUNT + WINDOW + 1 + 2  # up and a bias hold the level
     assert set(values.keys().tolist()) == {key for record in graph for key in record.keys.ravel().tolist()}
     assert np.isfinite(graph.error(values))
 
