@@ -51,7 +51,7 @@ ALLOWED: dict[str, set[str]] = {
     "graph": COMMON | {"lie"},
     "factors": COMMON | FACTORS,
     "slam": COMMON | SLAM | {"metrics"},
-    "survey": COMMON | SLAM | {"slam", "io", "output"},
+    "survey": COMMON | SLAM | {"slam", "io", "output", "edits", "revision"},
     "revision": COMMON | SLAM | {"edits", "slam", "io", "output"},
     "edits": {"errors", "arrays", "guard"},
     "editing": COMMON | SLAM | {"slam", "edits", "revision"},

@@ -34,7 +34,7 @@ from heliograph.slam.graph_files import write_graph_files
 from heliograph.slam.loops import Ledger, LedgerEntry
 from heliograph.slam.loops.ledger_file import read_ledger
 
-__all__ = ["RunGraph", "open_run_graph", "sessions_of", "write_keyframe_map"]
+__all__ = ["RunGraph", "kept_points", "open_run_graph", "sessions_of", "write_keyframe_map"]
 
 X = Symbol("X")
 _SCANS = "scans.csv"
@@ -81,15 +81,10 @@ class RunGraph:
 
     def dropped(self, index: int) -> bool:
         """Whether a keyframe belongs to a session that a plan of edits drops."""
-        sessions = sessions_of(self.facts)
-        return any(index in sessions.get(name, range(0)) for name in self.edits.dropped)
+        return _dropped(self.edits, self.facts, index)
 
     def _kept(self, points_imu: Points, index: int, T_map_imu: Array) -> Mask:
-        if self.dropped(index):
-            return np.zeros(len(points_imu), dtype=bool)
-        if not self.edits.boxes:
-            return np.ones(len(points_imu), dtype=bool)
-        return self.edits.kept(transformed(points_imu, np.ascontiguousarray(T_map_imu)))
+        return kept_points(self.edits, self.facts, points_imu, index, T_map_imu)
 
     def revoke(self, number: int) -> LedgerEntry:
         """Take a loop back by hand; `resolve` brings it into the files.
@@ -164,6 +159,32 @@ class RunGraph:
             for name, text in (beside or {}).items():
                 write_text(folder / name, text)
         return account
+
+
+def kept_points(edits: RunEdits, facts: Mapping[str, Any], points_imu: Points, index: int, T_map_imu: Array) -> Mask:
+    """Return which of a keyframe's points (N, 3), imu frame, a plan of edits leaves in the map.
+
+    Parameters
+    ----------
+    edits : RunEdits
+    facts : mapping
+        The run's ``run.json``.
+    points_imu : (N, 3) float32
+    index : int
+        The keyframe's number.
+    T_map_imu : (4, 4) float64
+        Its pose in the map that the plan speaks of.
+    """
+    if _dropped(edits, facts, index):
+        return np.zeros(len(points_imu), dtype=bool)
+    if not edits.boxes:
+        return np.ones(len(points_imu), dtype=bool)
+    return edits.kept(transformed(points_imu, np.ascontiguousarray(T_map_imu)))
+
+
+def _dropped(edits: RunEdits, facts: Mapping[str, Any], index: int) -> bool:
+    sessions = sessions_of(facts)
+    return any(index in sessions.get(name, range(0)) for name in edits.dropped)
 
 
 def write_keyframe_map(

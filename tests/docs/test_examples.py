@@ -9,10 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from heliograph.cli.main import app
 from heliograph.config import RunConfig
+from heliograph.factors import SENSOR_FACTORS
+from heliograph.graph import Symbol, load_graph
 from heliograph.lie import se3
 from heliograph.sim import SCENARIOS, simulate
+from heliograph.sim.write import write_recording
+from heliograph.slam import KEYFRAMES, KeyframeStore
 from heliograph.testing import assert_local_map, assert_odometry, assert_sink, assert_source
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -191,3 +197,48 @@ def test_ros2_node_runs_on_a_recorded_stream_without_ros(short_recording, monkey
     assert len(statuses) >= 38
     assert set(statuses[1:]) == {"tracked"}
     assert bridge.live.pose().stamp_ns >= results[-1].end_ns
+
+
+@pytest.fixture(scope="module")
+def walked_run(tmp_path_factory):
+    out = tmp_path_factory.mktemp("walked")
+    write_recording(out / "drive", SCENARIOS["room"].thinned(beams=16, columns=128, duration=13.0), seed=1)
+    done = CliRunner().invoke(app, ["run", str(out / "drive"), "-o", str(out / "run"), "--quiet"])
+    assert done.exit_code == 0, done.output
+    return out / "run"
+
+
+def _keyframes(run):
+    store = KeyframeStore.open(run / KEYFRAMES)
+    stamps = np.array(store.stamps_ns)
+    store.close()
+    values = load_graph(run / "graph.npz", factors=SENSOR_FACTORS)[1]
+    return stamps, values.at(Symbol("X")(np.arange(len(stamps)))).matrix
+
+
+def test_barometer_holds_the_height_whatever_the_weather(walked_run, tmp_path):
+    stamps, T = _keyframes(walked_run)
+    height = 150.0 + T[:, 2, 3]
+    pressure = 101_325.0 * (1.0 - height / 44_330.8) ** (1.0 / 0.190263)
+    table = np.column_stack([1e-9 * stamps, pressure])
+    np.savetxt(tmp_path / "pressure.csv", table, delimiter=",", header="stamp,pressure", fmt="%.9f")
+    text = _run("barometer.py", walked_run, tmp_path / "pressure.csv")
+    assert text.startswith("converged")
+    above, before, after = _numbers(r"(-?[\d.]+) m\b", text)
+    assert above == pytest.approx(T[-1, 2, 3], abs=0.005)
+    assert after < before
+
+
+def test_own_sensor_places_its_beacon(walked_run, tmp_path, rng):
+    stamps, T = _keyframes(walked_run)
+    beacon = np.array([4.0, -3.0, 1.0])
+    distance = np.linalg.norm(T[:, :3, :3] @ [0.0, 0.0, 0.2] + T[:, :3, 3] - beacon, axis=1)
+    distance[::5] += 3.0  # echoes
+    table = np.column_stack([1e-9 * stamps, distance + 0.01 * rng.standard_normal(len(stamps))])
+    np.savetxt(tmp_path / "ranges.csv", table, delimiter=",", header="stamp,range", fmt="%.9f")
+    text = _run("own_sensor.py", walked_run, tmp_path / "ranges.csv", 4.8, -2.2, 1.5)
+    assert text.startswith("converged")
+    found = np.array(_numbers(r"(-?[\d.]+) \+-", text))
+    sigma = np.array(_numbers(r"\+- ([\d.]+)", text))
+    assert (np.abs(found - beacon) < 3.0 * sigma).all()
+    assert sigma.min() < 0.5

@@ -39,9 +39,14 @@ def survey(
             "--tape", metavar="A,B,M[,SIGMA]", help="Distance between two points of the table [m]; repeatable."
         ),
     ] = None,
+    tile: Annotated[
+        float,
+        typer.Option("--tile", metavar="M", help="Cut the map into tiles of this edge [m], with an index.", min=0.0),
+    ] = 0.0,
+    e57: Annotated[bool, typer.Option("--e57", help="Write E57 too: a cloud a keyframe, with its pose.")] = False,
     json: options.Json = False,
 ) -> None:
-    """Deliver a run in a coordinate system: LAZ, trajectory as CSV, GPX and KML, accuracy; tied to control points."""
+    """Deliver a run in a coordinate system: LAZ, trajectory as CSV, GPX, KML and SBET, accuracy; by control points."""
     from heliograph.errors import ConfigError
     from heliograph.survey import open_placed_run
 
@@ -55,7 +60,7 @@ def survey(
             typer.echo("\n".join(_table(rows)))
         for line in _suspects(rows):
             typer.echo(line, err=True)
-    files = write_survey(placed, crs, control)
+    files = write_survey(placed, crs, control, tile=tile, e57=e57)
     if json:
         typer.echo(jsonlib.dumps({"files": [str(path) for path in files], "control_points": control}))
     else:
@@ -84,11 +89,13 @@ def deliver_run(folder: Path, crs: str) -> None:
         typer.echo(f"in {crs}: {', '.join(path.name for path in files)}", err=True)
 
 
-def write_survey(placed: PlacedRun, crs: str, control: dict[str, Any] | None = None) -> list[Path]:
+def write_survey(
+    placed: PlacedRun, crs: str, control: dict[str, Any] | None = None, *, tile: float = 0.0, e57: bool = False
+) -> list[Path]:
     """Write the survey's files into the run's folder and return them."""
     from heliograph.survey import deliver
 
-    return deliver(placed, crs, control)
+    return deliver(placed, crs, control, tile=tile, e57=e57)
 
 
 def _tied(placed: PlacedRun, crs: str, path: Path, tapes: Sequence[str]) -> tuple[PlacedRun, list[ControlResidual]]:

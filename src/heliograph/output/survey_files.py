@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import suppress
 from pathlib import Path
 
 __all__ = ["ACCURACY", "remove_survey"]
 
 ACCURACY = "accuracy.json"
-_NAMES = re.compile(r"map_\w+\.laz|trajectory_\w+\.csv|trajectory\.(gpx|kml)")
+_NAMES = re.compile(
+    r"map_\w+\.(laz|e57)|map_\w+/(-?\d+_-?\d+\.laz|index\.json)|trajectory_\w+\.csv|trajectory\.(gpx|kml|sbet|smrmsg)"
+)
 
 
 def remove_survey(folder: Path) -> None:
@@ -21,3 +24,6 @@ def remove_survey(folder: Path) -> None:
         return
     for name in (*ours, ACCURACY):
         (folder / name).unlink(missing_ok=True)
+    for name in {Path(name).parent for name in ours} - {Path()}:
+        with suppress(OSError):  # what is not ours stays, and its folder
+            (folder / name).rmdir()

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.arrays import Array, Stamps
+from heliograph.arrays import Array, Mask, Points, Stamps
 from heliograph.atomic import write_text
 from heliograph.config_toml import load_config
-from heliograph.errors import DataError, FormatError
+from heliograph.edits import EDITS, RunEdits, read_edits
+from heliograph.errors import ConfigError, DataError, FormatError
 from heliograph.io.files.clouds import read_cloud
 from heliograph.io.files.poses import read_poses
 from heliograph.lie import se3
-from heliograph.maps import GlobalMap
 from heliograph.output.survey_files import ACCURACY
+from heliograph.revision import kept_points, write_keyframe_map
 from heliograph.slam import KEYFRAMES, KeyframeStore
 from heliograph.survey.coordinates import CoordinateSystem, find_coordinate_system
-from heliograph.survey.las import write_survey_las
+from heliograph.survey.e57 import station_poses, write_survey_e57
+from heliograph.survey.las import write_survey_las, write_survey_tiles
 from heliograph.survey.placed_run import PlacedRun
+from heliograph.survey.sbet import write_sbet, write_smrmsg
 from heliograph.survey.tracks import SurveyTrack, write_csv_track, write_gpx_track, write_kml_track
 
 __all__ = ["accuracy", "deliver"]
@@ -30,8 +36,10 @@ _CELL = 2.0  # points in a cube of this edge share a time [m]
 _BLOCK = 2048  # cubes compared with the keyframes at once
 
 
-def deliver(run: PlacedRun, crs: str, control: dict[str, Any] | None = None) -> list[Path]:
-    """Write ``map_<crs>.laz``, ``trajectory_<crs>.csv``, GPX, KML and ``accuracy.json`` into the run's folder.
+def deliver(
+    run: PlacedRun, crs: str, control: dict[str, Any] | None = None, *, tile: float = 0.0, e57: bool = False
+) -> list[Path]:
+    """Write map, trajectories and ``accuracy.json`` into the run's folder.
 
     Parameters
     ----------
@@ -40,6 +48,10 @@ def deliver(run: PlacedRun, crs: str, control: dict[str, Any] | None = None) -> 
         As `find_coordinate_system` takes it.
     control : mapping, optional
         What the account of accuracy says of control points.
+    tile : float
+        Edge of the map's tiles, each a file, with an index [m]; 0: one file.
+    e57 : bool
+        Whether the keyframes' clouds are written too, each with its pose.
 
     Returns
     -------
@@ -51,28 +63,57 @@ def deliver(run: PlacedRun, crs: str, control: dict[str, Any] | None = None) -> 
     DataError
         The run is not placed on Earth, and the system is not ``local``.
     ConfigError
-        The system is not known, or cannot be used.
+        The system is not known or cannot be used, or a tile has no such edge.
+    MissingDependencyError
+        A file needs a package that is not installed.
     """
     if run.origin_deg is None and crs.lower() != "local":
         why = run.facts["graph"].get("gnss", {}).get("reason") or "there were no satellite fixes"
         raise DataError(
             f"the run is not placed on Earth ({why}): --crs {crs} cannot be; give control points, or --crs local"
         )
+    if tile != 0.0 and not 1.0 <= tile <= 100_000.0:
+        raise ConfigError(f"--tile {tile:g} is no edge of a tile: give 1 to 100000 m, or 0 for one file")
     origin_deg = np.zeros(3) if run.origin_deg is None else run.origin_deg
     system = find_coordinate_system(crs, origin_deg)
-    track, folder = _track(run), run.folder
-    files = [folder / f"map_{system.tag}.laz", folder / f"trajectory_{system.tag}.csv"]
+    track = _track(run)
+    files = [*_map_files(run, system, tile), *_track_files(run, track, system)]
+    if e57:
+        files.append(run.folder / f"map_{system.tag}.e57")
+        store = KeyframeStore.open(run.folder / KEYFRAMES)
+        try:
+            write_survey_e57(files[-1], store, station_poses(run.T_enu_map @ run.T_map_imu, system), system)
+        finally:
+            store.close()
+    names = [str(path.relative_to(run.folder)) for path in files]
+    said = {**accuracy(run, system, track, control), "files": names}
+    write_text(run.folder / ACCURACY, json.dumps(said, indent=2) + "\n")
+    return [*files, run.folder / ACCURACY]
+
+
+def _map_files(run: PlacedRun, system: CoordinateSystem, tile: float) -> Iterator[Path]:
+    """Write the map and yield its files: one, or tiles and their index."""
     points, intensity = _map(run)
-    p = system.from_enu(se3.act(run.T_enu_map, points))
-    write_survey_las(files[0], p, intensity, _times(points, run), system, f"Heliograph {run.folder.name}")
-    write_csv_track(files[1], track, system)
-    if run.origin_deg is not None:
-        files += [folder / "trajectory.gpx", folder / "trajectory.kml"]
-        write_gpx_track(files[2], track, system.origin)
-        write_kml_track(files[3], track, system.origin)
-    said = {**accuracy(run, system, track, control), "files": [path.name for path in files]}
-    write_text(folder / ACCURACY, json.dumps(said, indent=2) + "\n")
-    return [*files, folder / ACCURACY]
+    p, stamps = system.from_enu(se3.act(run.T_enu_map, points)), _times(points, run)
+    identifier = f"Heliograph {run.folder.name}"
+    if tile == 0.0:
+        path = run.folder / f"map_{system.tag}.laz"
+        write_survey_las(path, p, intensity, stamps, system, identifier)
+        yield path
+        return
+    yield from write_survey_tiles(run.folder / f"map_{system.tag}", tile, p, intensity, stamps, system, identifier)
+
+
+def _track_files(run: PlacedRun, track: SurveyTrack, system: CoordinateSystem) -> list[Path]:
+    files = [run.folder / f"trajectory_{system.tag}.csv"]
+    write_csv_track(files[0], track, system)
+    if run.origin_deg is None:
+        return files
+    writers = {"gpx": write_gpx_track, "kml": write_kml_track, "sbet": write_sbet, "smrmsg": write_smrmsg}
+    for suffix, write in writers.items():
+        files.append(run.folder / f"trajectory.{suffix}")
+        write(files[-1], track, system.origin)
+    return files
 
 
 def accuracy(
@@ -139,12 +180,21 @@ def _map(run: PlacedRun) -> tuple[Array, NDArray[np.float32] | None]:
 
 
 def _map_of_keyframes(run: PlacedRun) -> tuple[Array, NDArray[np.float32] | None]:
+    """Return the map as the run would write it from its keyframes, without what a plan of edits leaves out."""
+    output = replace(load_config(run.folder / "config.toml").output, map_format="ply")
+    edits = read_edits(run.folder / EDITS) if (run.folder / EDITS).is_file() else RunEdits()
+
+    def kept(points: Points, index: int, _moved: Array) -> Mask:
+        return kept_points(edits, run.facts, points, index, run.T_files_imu[index])  # boxes lie in the map as it was
+
     store = KeyframeStore.open(run.folder / KEYFRAMES)
-    whole = GlobalMap(load_config(run.folder / "config.toml").output.map_voxel)
-    for keyframe, T in zip(store, run.T_map_imu, strict=True):
-        whole.insert(keyframe.points_imu, keyframe.intensity, np.ascontiguousarray(T))
-    store.close()
-    return whole.points().astype(np.float64), whole.intensity()
+    try:
+        with TemporaryDirectory(prefix="heliograph_") as scratch:
+            write_keyframe_map(store, run.T_map_imu, output, Path(scratch), kept)
+            cloud = read_cloud(Path(scratch) / "map.ply")
+    finally:
+        store.close()
+    return cloud.points.astype(np.float64), cloud.intensity
 
 
 def _times(points: Array, run: PlacedRun) -> Stamps:

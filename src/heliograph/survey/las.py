@@ -5,6 +5,7 @@ Every field of the header follows the ASPRS LAS specification 1.4 R15.
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import Array
-from heliograph.atomic import atomic_path
+from heliograph.atomic import atomic_path, write_text
 from heliograph.errors import DataError, MissingDependencyError
 from heliograph.survey.coordinates import CoordinateSystem
 
-__all__ = ["adjusted_gps_time", "write_survey_las"]
+__all__ = ["adjusted_gps_time", "gps_seconds", "write_survey_las", "write_survey_tiles"]
 
 _INSTALL = "pip install 'heliograph[survey]'"
 _LEAP_S = 18.0  # GPS time less UTC, since 2017
@@ -29,7 +30,12 @@ _GPS_TIME_ADJUSTED, _WKT = 1, 16  # bits of the global encoding
 
 def adjusted_gps_time(stamps_ns: NDArray[np.int64]) -> Array:
     """Return adjusted standard GPS time [s] of UTC stamps [ns]: GPS seconds less a billion."""
-    return np.asarray(stamps_ns * 1e-9 + _LEAP_S - _GPS_EPOCH_S - _ADJUSTED, dtype=np.float64)
+    return np.asarray(gps_seconds(stamps_ns) - _ADJUSTED, dtype=np.float64)
+
+
+def gps_seconds(stamps_ns: NDArray[np.int64]) -> Array:
+    """Return GPS time [s], since 6 January 1980, of UTC stamps [ns]."""
+    return np.asarray(stamps_ns * 1e-9 + _LEAP_S - _GPS_EPOCH_S, dtype=np.float64)
 
 
 def write_survey_las(
@@ -87,6 +93,48 @@ def write_survey_las(
             record.return_number[:] = 1
             record.number_of_returns[:] = 1
             writer.write_points(record)
+
+
+def write_survey_tiles(
+    folder: Path,
+    edge: float,
+    p: Array,
+    intensity: NDArray[np.float32] | None,
+    stamps_ns: NDArray[np.int64],
+    system: CoordinateSystem,
+    identifier: str,
+) -> list[Path]:
+    """Write points as LAZ tiles ``<easting>_<northing>.laz``, by their south-west corners, and ``index.json``.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if absent.
+    edge : float
+        Edge of a tile [m]; corners lie at its multiples.
+    p, intensity, stamps_ns, system, identifier
+        As `write_survey_las` takes them.
+
+    Returns
+    -------
+    list of Path
+        The tiles, and the index.
+    """
+    folder.mkdir(exist_ok=True)
+    corners, tile_of = np.unique(np.floor(p[:, :2] / edge).astype(np.int64), axis=0, return_inverse=True)
+    order, tile_of = np.argsort(tile_of.ravel(), kind="stable"), tile_of.ravel()
+    parts = np.split(order, np.searchsorted(tile_of[order], np.arange(1, len(corners))))
+    rows = []
+    for corner, part in zip((corners * edge).tolist(), parts, strict=True):
+        name = f"{corner[0]:.0f}_{corner[1]:.0f}.laz"
+        some = None if intensity is None else intensity[part]
+        write_survey_las(folder / name, p[part], some, stamps_ns[part], system, identifier)
+        rows.append({
+            "file": name, "points": len(part), "min": p[part].min(axis=0).tolist(), "max": p[part].max(axis=0).tolist(),
+        })  # fmt: skip
+    index = {"coordinate_system": system.name, "edge_m": edge, "points": len(p), "tiles": rows}
+    write_text(folder / "index.json", json.dumps(index, indent=1) + "\n")
+    return [*(folder / row["file"] for row in rows), folder / "index.json"]
 
 
 def _laspy(path: Path) -> Any:  # noqa: ANN401 - an optional package without types

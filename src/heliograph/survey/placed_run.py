@@ -17,7 +17,7 @@ from heliograph.guard.account import read_account
 from heliograph.output.final_poses import FinalPoses
 from heliograph.slam import KEYFRAMES, KeyframeStore
 
-__all__ = ["PlacedRun", "open_placed_run"]
+__all__ = ["PlacedRun", "open_placed_run", "position_in_frame"]
 
 X, E = Symbol("X"), Symbol("E")
 
@@ -81,7 +81,6 @@ class PlacedRun:
         marginals = Marginals(self.graph, self.values)
         K = len(self.stamps_ns)
         T, T_enu_map = self.T_map_imu, self.T_enu_map
-        R_enu = T_enu_map[:3, :3]
         position, heading = np.zeros((K, 3)), np.zeros(K)
         for k in range(K):
             key = int(X(k))
@@ -90,7 +89,7 @@ class PlacedRun:
                 J = np.hstack([np.zeros((3, 3)), T[k, :3, :3]])
                 H = np.concatenate([T[k, 2, :3], np.zeros(3)])
             else:
-                P, J, H = _with_frame(marginals, key, T[k], R_enu, T_enu_map)
+                P, J, H = position_in_frame(marginals, key, T[k], T_enu_map)
             position[k] = np.sqrt(np.maximum(np.diag(J @ P @ J.T), 0.0))
             heading[k] = np.sqrt(max(float(H @ P @ H), 0.0))
         return position, heading
@@ -100,8 +99,24 @@ def _poses(values: Values, count: int) -> Array:
     return np.ascontiguousarray(values.at(X(np.arange(count))).matrix[:, :4, :4])
 
 
-def _with_frame(marginals: Marginals, key: int, T: Array, R_enu: Array, T_enu_map: Array) -> tuple[Array, Array, Array]:
-    """Return the joint covariance of a pose and of the frame, and how position and heading in the frame follow."""
+def position_in_frame(marginals: Marginals, key: int, T: Array, T_enu_map: Array) -> tuple[Array, Array, Array]:
+    """Return how well a pose's position and heading are known in a frame whose own pose is estimated, ``E(0)``.
+
+    Parameters
+    ----------
+    marginals : Marginals
+    key : int
+        Key of the pose.
+    T : (4, 4) float64
+        The pose in the map.
+    T_enu_map : (4, 4) float64
+
+    Returns
+    -------
+    (12, 12), (3, 12), (12,) float64
+        Joint covariance of pose and frame, and how position and heading follow from them.
+    """
+    R_enu = T_enu_map[:3, :3]
     joint = marginals.joint([key, int(E(0))])
     d = len(joint) - 6
     take = np.r_[0:6, d : d + 6]
