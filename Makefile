@@ -6,9 +6,9 @@ STAMP := $(VENV)/.installed
 BUILD_TOOLS := "scikit-build-core>=1.1" "nanobind>=3.1,<4" "cmeel-eigen>=3.4,<4" "cmake>=3.20" ninja
 NATIVE := $(shell find cpp CMakeLists.txt pyproject.toml -type f)
 
-.PHONY: help env build demo test test-slow lint types rooms mutants sanitize fuzz bench clean
+.PHONY: help env build demo test test-slow lint types rooms mutants sanitize fuzz bench docs clean
 help:
-	@echo "make demo | test | test-slow | lint | types | rooms | mutants | sanitize | fuzz | bench | clean"
+	@echo "make demo | test | test-slow | lint | types | rooms | mutants | sanitize | fuzz | bench | docs | clean"
 
 $(VENV)/.tools:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Heliograph needs Python 3.10 or newer; set PYTHON=")'
@@ -56,6 +56,12 @@ SECONDS ?= 120
 SEED ?= 1
 fuzz: $(STAMP)
 	PYTHONPATH=tests:. $(BIN)/python -m tests.fuzz --seed $(SEED) $(if $(CASES),--cases $(CASES) --seconds 0,--seconds $(SECONDS))
+
+# The documentation as a site, in build/site/html; a link that leads nowhere is an error.
+docs: $(STAMP)
+	$(BIN)/python -m pip install -q --disable-pip-version-check "mkdocs-material>=9.5" "mkdocstrings[python]>=0.26"
+	$(BIN)/python docs/site/stage.py build/site/pages
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q --strict -f build/site/mkdocs.yml
 
 # Rivals pin what Heliograph does not, so they live in an environment of their own.
 RIVALS := build/bench-venv

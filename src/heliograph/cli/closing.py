@@ -10,6 +10,9 @@ from typing import Any, TypeAlias
 
 __all__ = ["check_lines", "closing_lines", "print_closing", "times", "warning_lines"]
 
+LAP_SHARE = 0.05
+"""Largest share of the way between start and end of a lap."""
+
 ClosingLines: TypeAlias = Callable[[dict[str, Any], Path], list[str]]
 
 
@@ -34,8 +37,8 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
     closing = f", then {timings['closing_s']:.1f} s for map and report" if timings.get("closing_s") else ""
     memory = "" if facts["peak_memory_mb"] is None else f"; peak memory {facts['peak_memory_mb']:.0f} MB"
     lines = [
-        f"distance {facts['distance_m']:.2f} m in {facts['duration_s']:.1f} s, {facts['scans']} scans, "
-        f"start-end gap {facts['start_end_gap_m']:.3f} m",
+        f"distance {facts['distance_m']:.2f} m in {facts['duration_s']:.1f} s, {facts['scans']} scans"
+        + (f", start-end gap {facts['start_end_gap_m']:.3f} m" if _is_lap(facts) else ""),
         f"{timings['wall_ms_per_scan']:.1f} ms a scan ({parts}){closing}{memory}",
     ]
     if facts["level"]["sentence"]:
@@ -50,6 +53,7 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
         lines.append(_graph_line(facts["graph"]))
         lines += [facts["graph"]["gnss"]["sentence"]] if "gnss" in facts["graph"] else []
         lines += _wheel_lines(facts["graph"].get("wheels"))
+    lines += unused_lines(facts)
     for span in facts.get("blind_spans", [])[:3]:
         lines.append(
             f"blind for {span['distance_m']:.0f} m at scans {span['scans'][0]} to {span['scans'][1]}: one-sigma along "
@@ -60,6 +64,25 @@ def closing_lines(facts: Mapping[str, Any], folder: Path) -> list[str]:
     lines.append(f"report: {folder / 'report.html'}")
     lines.append(f"status: {facts['status']}" + "".join(f"; {reason}" for reason in facts["reasons"]))
     return lines
+
+
+def unused_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Return a line for each sensor that the recording holds and the run has made nothing of."""
+    held, graph = facts.get("recording", {}).get("streams", {}), facts.get("graph", {})
+    lines = []
+    if held.get("gnss", {}).get("count") and "gnss" not in graph:
+        lines.append(
+            f"gnss: {held['gnss']['count']} fixes in the recording were not used (--no-gnss, --no-graph, or another "
+            "file of fixes)"
+        )
+    if held.get("wheels", {}).get("count") and "wheels" not in graph:
+        lines.append(f"wheels: {held['wheels']['count']} messages in the recording were not used")
+    return lines
+
+
+def _is_lap(facts: Mapping[str, Any]) -> bool:
+    """Whether the way ends near where it began, so that the distance between the two says something."""
+    return bool(facts["start_end_gap_m"] < LAP_SHARE * facts["distance_m"])
 
 
 def check_lines(checks: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -20,10 +20,16 @@ from heliograph.report.lettering import lettered, world_file
 from heliograph.report.mapview import MapPictures
 from heliograph.report.png import encode_png
 from heliograph.report.scene import scene
+from heliograph.report.statement import accuracy, files_beside, streams
+from heliograph.report.tracks import fixes, loop_ledger, turn_rates
 
 __all__ = ["write_report"]
 
 _LAP_SHARE = 0.05  # of the way, the gap between start and end of a lap at most
+_FACTS = {
+    "recording": ("recording", ""), "duration_s": ("it lasts", "s"), "scan_period_s": ("a sweep takes", "s"),
+    "points_per_scan": ("points a sweep", ""),
+}  # fmt: skip
 _STATUS_WORDS = {
     "ok": "the result holds together",
     "degraded": "usable with care",
@@ -67,9 +73,11 @@ def page(record: RunRecord, pictures: MapPictures | None) -> str:
             pictures.html() if pictures is not None else "",
             turned,
             section("Trajectory", [charts.trajectory(record, turned_like(pictures))], wide=True),
-            section("", charts.motion(record.scans)),
+            section("", [*charts.motion(record.scans), *turn_rates(record)]),
             observability(record),
             section("Uncertainty", [*charts.uncertainty(record.scans), *charts.biases(record.scans)]),
+            section("Satellite fixes", gnss_charts) if (gnss_charts := fixes(record)) else "",
+            loop_ledger(record),
             section("Time", [charts.timings(record), timing_table(record)]),
             inferences(record.facts.get("inferences", [])),
             tables(record),
@@ -106,7 +114,8 @@ def header(record: RunRecord) -> str:
     return (
         f'<header><p class="brand">Heliograph {version} · run report</p><h1>{escape(record.name)}</h1>'
         f'<p class="verdict {summary.status}"><b>{summary.status}</b> {_STATUS_WORDS[summary.status]}</p>'
-        f'{f"<ul class=reasons>{reasons}</ul>" if reasons else ""}<dl class="tiles">{tiles}</dl>{checks(record)}'
+        f'{f"<ul class=reasons>{reasons}</ul>" if reasons else ""}<dl class="tiles">{tiles}</dl>'
+        f"{accuracy(record)}{checks(record)}"
         f"{warnings(record)}</header>"
     )
 
@@ -211,12 +220,19 @@ def tables(record: RunRecord) -> str:
     facts: list[tuple[str, ...]] = [("scans by verdict", verdicts)]
     if summary.level.known:
         facts.append(("level", summary.level.sentence()))
-    facts += [(str(key), _short(value)) for key, value in record.facts.get("recording", {}).items()]
-    facts += [(str(key), str(value)) for key, value in record.facts.get("versions", {}).items()]
+    recording = record.facts.get("recording", {})
+    facts += [
+        (words, f"{_short(recording[key])} {unit}".rstrip())
+        for key, (words, unit) in _FACTS.items()
+        if recording.get(key) not in (None, "")
+    ]
+    facts.append(("versions", ", ".join(f"{key} {value}" for key, value in record.facts.get("versions", {}).items())))
+    sensors = streams(recording)
+    held = table(("sensor", "topic", "frame", "messages", "rate", "wrong with them"), sensors) if sensors else ""
     remarks = [event for event in summary.events if event.severity == "info"]
     notes = "".join(f"<li>{remark(event)}</li>" for event in remarks)
     return (
-        f"<section><h2>The run</h2>{table(('what', 'value'), facts)}"
+        f"<section><h2>The run</h2>{held}{table(('what', 'value'), facts)}{files_beside(record)}"
         f"{f'<ul class=notes>{notes}</ul>' if notes else ''}"
         f"<details><summary>Configuration (config.toml)</summary><pre>{escape(record.config)}</pre></details></section>"
     )

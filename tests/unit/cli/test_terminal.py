@@ -51,3 +51,14 @@ def test_a_full_output_is_one_line(tmp_path):
     assert (
         done.stderr.startswith("error: cannot write standard output: the disk is full") and done.stderr.count("\n") == 1
     )
+
+
+def test_sensors_that_were_not_used_are_named_in_the_closing_lines():
+    from heliograph.cli.closing import unused_lines
+
+    held = {"recording": {"streams": {"gnss": {"count": 12}, "wheels": {"count": 0}, "imu": {"count": 5}}}}
+    (line,) = unused_lines(held)
+    assert line.startswith("gnss: 12 fixes in the recording were not used")
+    assert unused_lines(held | {"graph": {"gnss": {}}}) == []
+    held["recording"]["streams"]["wheels"]["count"] = 3
+    assert len(unused_lines(held)) == 2

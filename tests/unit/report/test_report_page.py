@@ -18,6 +18,7 @@ from heliograph.report.mapview import MapPictures
 from heliograph.report.page import header, page
 from heliograph.report.scene import MAX_POINTS, loop_lines
 from heliograph.report.svg import Line, line_chart, nice_ticks, number, round_length, thin
+from heliograph.report.tracks import fixes, loop_ledger
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +126,42 @@ def test_gap_is_told_of_a_lap_only(finished):
     for gap, told in ((0.2, True), (90.0, False)):
         summary = replace(finished.record.summary, distance=100.0, start_end_gap=gap)
         assert ("start-end gap" in header(replace(finished.record, summary=summary))) == told
+
+
+def test_report_says_how_accurate_it_is_before_the_map(finished):
+    html = (finished.path / "report.html").read_text()
+    stated = html[html.index('id="accuracy"') : html.index("from above")]
+    worst = np.linalg.norm(finished.record.scans.triple("sigma_position"), axis=1).max()
+    assert f"{1e3 * worst:.1f} mm at most" in stated and "not tied to the Earth" in stated
+    assert "scans.csv</a> every scan" in html and "{&#x27;" not in html, "no dictionaries of the language"
+
+
+def test_loop_ledger_has_a_picture_of_each_pair(finished, tmp_path):
+    record = replace(finished.record, folder=tmp_path)
+    assert loop_ledger(record) == ""
+    (tmp_path / "keyframes").mkdir()
+    for index in (0, 7):
+        points = np.random.default_rng(index).uniform(-5, 5, (500, 3)).astype(np.float32)
+        np.savez(tmp_path / "keyframes" / f"{index:06d}.npz", points_imu=points)
+    pose = "1 0 0 0.5 0 1 0 0 0 0 1 0"
+    (tmp_path / "loops.csv").write_text(
+        "number,query,match,verdict,reason,overlap_query,shift_level,T_match_query\n"
+        f"0,7,0,rejected,few <overlaps>,0.1,0.2,{pose}\n1,7,0,accepted,agrees,0.8,0.3,{pose}\n2,9,0,rejected,x,,,\n"
+    )
+    html = loop_ledger(record)
+    assert html.count("<img") == 2 and html.index("0 and 7: accepted") < html.index("0 and 7: rejected")
+    assert "1 of 3 candidates stand" in html and "few &lt;overlaps&gt;" in html and "80%" in html
+
+
+def test_fixes_used_and_left_out_are_charts_of_their_own(finished, tmp_path):
+    record = replace(finished.record, folder=tmp_path)
+    assert fixes(record) == []
+    (tmp_path / "gnss.csv").write_text(
+        "stamp,residual_east_m,residual_north_m,residual_up_m,weight\n"
+        "10.0,0.1,0.2,0.3,1.0\n11.0,0.1,0.1,0.2,0.9\n12.0,30.0,1.0,1.0,0.0\n13.0,,,,0.0\n"
+    )
+    used, left_out = fixes(record)
+    assert "fixes used" in used and "left out" in left_out
 
 
 def roofed(share):

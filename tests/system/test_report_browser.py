@@ -1,0 +1,66 @@
+"""The report in a browser: it opens, asks for nothing, its numbers are the run's, and no caption overlaps."""
+
+import json
+
+import pytest
+from tests.browser import CHROMIUM, MISSING, Browser
+
+from heliograph.cli.main import main
+from heliograph.sim import SCENARIOS
+from heliograph.sim.write import write_recording
+
+pytestmark = [pytest.mark.skipif(CHROMIUM is None, reason=MISSING), pytest.mark.timeout(600)]
+
+OVERLAPS = """
+[...document.querySelectorAll('figure, header')].flatMap((figure) => {
+  const boxes = [...figure.querySelectorAll('figcaption > *, svg text, dt, dd')]
+    .filter((e) => !e.querySelector('text, dt, dd') && e.textContent.trim() && e.getClientRects().length)
+    .map((e) => [e.textContent.trim(), e.getBoundingClientRect(), e]);
+  const found = [];
+  for (let i = 0; i < boxes.length; i++) for (let j = i + 1; j < boxes.length; j++) {
+    const [a, b] = [boxes[i][1], boxes[j][1]];
+    if (boxes[i][2].contains(boxes[j][2])) continue;
+    const w = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+    const h = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+    if (w > 2 && h > 3) found.push(`${boxes[i][0]} / ${boxes[j][0]}`);
+  }
+  return found;
+})
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A run of six seconds with satellite fixes."""
+    home = tmp_path_factory.mktemp("report_browser")
+    write_recording(home / "drive", SCENARIOS["demo"].thinned(beams=16, columns=256, duration=6.0), seed=1)
+    assert main(["run", str(home / "drive"), "-o", str(home / "run"), "-q"]) == 0
+    return home / "run"
+
+
+@pytest.mark.parametrize(("width", "dark"), [(1400, False), (390, True)], ids=["wide-light", "phone-dark"])
+def test_report_opens_with_the_runs_numbers_and_asks_for_nothing(made, tmp_path, width, dark):
+    facts = json.loads((made / "run.json").read_text())
+    with Browser(tmp_path / "profile", width=width, height=900, dark=dark, patience=120.0) as page:
+        page.open((made / "report.html").as_uri())
+        page.wait_for("document.readyState === 'complete'")
+        tiles = page.evaluate(
+            "Object.fromEntries([...document.querySelectorAll('.tiles div')].map("
+            "(e) => [e.querySelector('dt').textContent, e.querySelector('dd').textContent]))"
+        )
+        assert tiles["distance"] == f"{facts['distance_m']:.1f} m" and tiles["scans"].strip() == str(facts["scans"])
+        assert tiles["a scan"] == f"{facts['timings']['wall_ms_per_scan']:.1f} ms", "one number everywhere"
+        verdicts = page.evaluate("[...document.querySelectorAll('.checks li b')].map((e) => e.textContent)")
+        assert verdicts == [check["verdict"] for check in facts["checks"]] and len(verdicts) == 6
+        level = page.evaluate("document.querySelector('#accuracy').textContent")
+        assert facts["level"]["sentence"] in level and "relative" in level and "absolute" in level
+        links = page.evaluate("[...document.querySelectorAll('.files a')].map((e) => e.getAttribute('href'))")
+        assert {"scans.csv", "map.png", "trajectory.tum"} <= set(links) <= {file.name for file in made.iterdir()}
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert page.evaluate(OVERLAPS) == []
+        turned = page.evaluate("!!document.querySelector('#scene')")
+        if turned:
+            page.evaluate("document.querySelector('#scene').open = true")
+            page.wait_for("document.querySelector('#scene-view canvas, #scene-view .gl-container')")
+        assert page.complaints == []
+        assert [url for url in page.requests if not url.startswith(("file:", "data:", "blob:", "about:"))] == []
