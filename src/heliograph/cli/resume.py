@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -50,22 +51,30 @@ def taken_up(checkpoints: Checkpoints) -> bool:
     return False
 
 
-def checkpoints_of(folder: Path, config: RunConfig, recordings: list[Path]) -> Checkpoints:
-    """Return where a run keeps its checkpoints, with what must be the same for it to go on."""
+def checkpoints_of(folder: Path, config: RunConfig, inputs: Sequence[Mapping[str, Any]]) -> Checkpoints:
+    """Return where a run keeps its checkpoints, with what must be the same for it to go on.
+
+    Parameters
+    ----------
+    folder : Path
+    config : RunConfig
+    inputs : sequence of mappings
+        Names, sizes and checksums of the recording's files, of `hashed_inputs`.
+    """
     from dataclasses import asdict
 
     from heliograph import _core
     from heliograph.checkpoint import Checkpoints
     from heliograph.io.files.poses import is_pose_file
     from heliograph.output.facts import versions
-    from heliograph.output.manifest import hashed_files, hashed_inputs
+    from heliograph.output.manifest import hashed_files
 
     settings = {name: repr(value) for name, value in _flat(asdict(config)).items() if name not in _NO_MATTER}
     named = (config.gnss.file, config.wheels.file, config.input.extrinsic, config.odometry)
     beside = [Path(name) for name in named if name and (name != config.odometry or is_pose_file(name))]
     identity = {
         "version": f"{versions()['heliograph']} ({_core.instruction_set()})",
-        "recording": {file.pop("name"): _told(file) for file in hashed_inputs(recordings, config.output.hash_inputs)},
+        "recording": {str(file["name"]): _told(file) for file in inputs},
         "settings": settings,
         "files": {file.pop("name"): _told(file) for file in hashed_files(beside)},
     }
@@ -86,7 +95,7 @@ def _flat(settings: dict[str, Any], section: str = "") -> dict[str, Any]:
     return found
 
 
-def _told(file: dict[str, Any]) -> str:
+def _told(file: Mapping[str, Any]) -> str:
     """Return size and checksum of a file, short enough to be shown."""
     checksum = next((str(value)[:16] for name, value in file.items() if name.endswith("sha256")), "no checksum")
     return f"{file['bytes']} bytes, {checksum}"

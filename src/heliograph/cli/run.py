@@ -153,15 +153,18 @@ def execute(
     from heliograph.io import open_recording
     from heliograph.io.files.poses import is_pose_file
     from heliograph.odometry import find_odometry
+    from heliograph.output.manifest import hashed_inputs
 
     if not is_pose_file(config.odometry):
         find_odometry(config.odometry)  # a wrong name is told before a recording is opened
     began = time.perf_counter()
     with interruptible() as stop, open_recording(recordings, config.input, sensors=config.sensors) as recording:
         pipeline.sensors_in_use(recording, config)  # a wrong choice is told before a folder is made
-        checkpoints = checkpoints_of(destination(recordings, output), config, recordings)
+        inputs = hashed_inputs(recordings, config.output.hash_inputs)
+        checkpoints = checkpoints_of(destination(recordings, output), config, inputs)
         resume, overwrite = resume and taken_up(checkpoints), overwrite or (resume and is_run(checkpoints.folder))
-        with _folder(recording, config, recordings, output, overwrite=overwrite, resume=resume) as folder:
+        made = _folder(recording, config, recordings, checkpoints.folder, inputs, overwrite=overwrite, resume=resume)
+        with made as folder:
             opening = time.perf_counter() - began
             bar = [ProgressSink(recording.total_scans, folder.name)] if progress else []
             try:
@@ -188,20 +191,25 @@ def destination(recordings: list[Path], output: Path | None) -> Path:
 
 
 def _folder(
-    recording: Recording, config: RunConfig, paths: list[Path], output: Path | None, *, overwrite: bool, resume: bool
+    recording: Recording,
+    config: RunConfig,
+    paths: list[Path],
+    output: Path,
+    inputs: list[dict[str, Any]],
+    *,
+    overwrite: bool,
+    resume: bool,
 ) -> RunFolder:
     """Prepare the output folder for a recording."""
     import numpy as np
 
     from heliograph.config_toml import dump_config
     from heliograph.output.facts import plain, versions
-    from heliograph.output.manifest import hashed_inputs
     from heliograph.output.run_folder import RunFolder
     from heliograph.pipeline import sensors_in_use, thread_count
     from heliograph.report import write_report
 
     known_versions, name = versions(), paths[0].resolve().stem
-    inputs = hashed_inputs(paths, config.output.hash_inputs)
 
     def facts() -> dict[str, Any]:
         recorded = plain(recording.summary())
@@ -213,7 +221,7 @@ def _folder(
         }
 
     return RunFolder(
-        destination(paths, output),
+        output,
         name=name if name not in _GENERIC_NAMES else f"{paths[0].resolve().parent.name}/{name}",
         config=dump_config(config),
         output=config.output,
