@@ -86,6 +86,18 @@ void PointGrid::forget_before(uint32_t oldest) {
 void PointGrid::keep(const std::vector<uint8_t>& wanted) {
   const auto kept = static_cast<size_t>(std::count(wanted.begin(), wanted.end(), 1));
   if (kept == wanted.size()) return;
+  if (FlatIndex::few(wanted.size() - kept, wanted.size())) {
+    for (size_t id = wanted.size(); id-- > 0;) {
+      if (wanted[id] != 0) continue;
+      index_.erase(buckets_[id].key);
+      if (id + 1 < buckets_.size()) {
+        buckets_[id] = buckets_.back();
+        index_.find(buckets_[id].key)->value = static_cast<uint32_t>(id);
+      }
+      buckets_.pop_back();
+    }
+    return;
+  }
   index_.keep(wanted);
   size_t next = 0;
   for (size_t id = 0; id < wanted.size(); ++id)

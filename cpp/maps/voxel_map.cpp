@@ -283,6 +283,10 @@ void VoxelMap::forget_unseen(uint32_t insertions) {
 void VoxelMap::keep(const std::vector<uint8_t>& wanted) {
   const auto kept = static_cast<size_t>(std::count(wanted.begin(), wanted.end(), 1));
   if (kept == wanted.size()) return;
+  if (FlatIndex::few(wanted.size() - kept, wanted.size())) {
+    drop(wanted);
+    return;
+  }
   index_.keep(wanted);
   size_t next = 0;
   for (size_t id = 0; id < wanted.size(); ++id) {
@@ -292,6 +296,21 @@ void VoxelMap::keep(const std::vector<uint8_t>& wanted) {
   }
   planes_.resize(next);
   moments_.resize(next);
+}
+
+// The last cube takes the place of each that goes: the work is that of what goes, not of what stays.
+void VoxelMap::drop(const std::vector<uint8_t>& wanted) {
+  for (size_t id = wanted.size(); id-- > 0;) {
+    if (wanted[id] != 0) continue;
+    index_.erase(moments_[id].key);
+    if (id + 1 < moments_.size()) {
+      planes_[id] = planes_.back();
+      moments_[id] = moments_.back();
+      index_.find(moments_[id].key)->value = static_cast<uint32_t>(id);
+    }
+    planes_.pop_back();
+    moments_.pop_back();
+  }
 }
 
 Cube VoxelMap::cube_of(uint64_t key) const {

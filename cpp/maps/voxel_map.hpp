@@ -96,6 +96,7 @@ class VoxelMap {
   void lean_on_coarser(const Moments& m, Plane* plane) const;
   size_t coarse_cubes();
   void keep(const std::vector<uint8_t>& wanted);
+  void drop(const std::vector<uint8_t>& wanted);
 
   VoxelMapSettings settings_;
   FlatIndex index_;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Open-addressing map from voxel keys to pool indices: one probe is one cache line, entries are never removed singly.
+// Open-addressing map from voxel keys to pool indices: one probe is one cache line.
 #pragma once
 #include <bit>
 #include <cstdint>
@@ -61,6 +61,23 @@ class FlatIndex {
     }
   }
   Slot* find(uint64_t key) { return const_cast<Slot*>(std::as_const(*this).find(key)); }
+
+  // Forgets `key`, which is there. What was probed past it moves up, so that no probe ends too early.
+  void erase(uint64_t key) {
+    uint64_t hole = mix(key) & mask_;
+    while (slots_[hole].key != key) hole = (hole + 1) & mask_;
+    for (uint64_t i = (hole + 1) & mask_; slots_[i].key != kNoKey; i = (i + 1) & mask_) {
+      const uint64_t home = mix(slots_[i].key) & mask_;
+      if (((i - home) & mask_) < ((i - hole) & mask_)) continue;
+      slots_[hole] = slots_[i];
+      hole = i;
+    }
+    slots_[hole] = Slot{kNoKey, 0, 0, 0};
+    --size_;
+  }
+
+  // Whether so few of `count` entries go that erasing them one by one is quicker than making the table anew.
+  static bool few(size_t gone, size_t count) { return 8 * gone <= count; }
 
   // Forgets the entries of which `wanted[value]` is 0; those that stay are numbered anew, in the order of their values.
   void keep(const std::vector<uint8_t>& wanted) {

@@ -210,3 +210,29 @@ def test_a_plane_knows_how_its_points_scatter_about_it(rng):
     found = local_map.planes_at(at, gate=0.1)
     np.testing.assert_allclose(np.sqrt(found.scatter.mean()), 0.01, rtol=0.05)
     assert local_map.planes_at(at + np.array([0.0, 0.0, 9.0]), gate=0.1).scatter.max() < 0.0
+
+
+def test_a_map_that_forgets_a_little_at_a_time_is_the_one_that_forgets_at_once(rng):
+    """Few cubes that go are taken out one by one, many by making the table anew; both lead to one map."""
+    slowly, at_once, poses = VoxelMap(CONFIG), VoxelMap(CONFIG), [random_pose(rng) for _ in range(4)]
+    for T in poses:
+        cloud = (8.0 * room_cloud(rng, 3000)).astype(np.float32)
+        slowly.insert(cloud, T)
+        at_once.insert(cloud, T)
+    full = len(at_once)
+    for radius in np.linspace(20.0, 6.0, 60):
+        slowly.native.prune(np.zeros(3), float(radius), 10**6)
+    at_once.native.prune(np.zeros(3), 6.0, 10**6)
+    assert 0 < len(at_once) < 0.7 * full
+
+    def rows(local_map):
+        return sorted(map(tuple, local_map.table().tolist()))
+
+    assert rows(slowly) == rows(at_once)
+    more = (4.0 * room_cloud(rng, 2000)).astype(np.float32)
+    slowly.insert(more, poses[0])
+    at_once.insert(more, poses[0])
+    assert rows(slowly) == rows(at_once)
+    queries = rng.uniform(-8.0, 8.0, (500, 3))
+    a, b = (local_map.planes_at(queries, gate=0.5) for local_map in (slowly, at_once))
+    assert (a.variance == b.variance).all() and (a.normal == b.normal).all() and np.isfinite(a.variance).any()
