@@ -29,6 +29,7 @@ from tests.fuzz.warm import warm_up
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=1_000_000, help="how many at most")
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--seconds", type=float, default=120.0, help="how long; 0: until all cases are done")
     parser.add_argument("--seed", type=int, default=1, help="of chance")
     parser.add_argument("--jobs", type=int, default=1, help="children at once")
@@ -48,7 +49,7 @@ def _work(
         for number, line in enumerate(warm_up(targets, seeds)):
             results.put(Outcome(-1 - number, "a seed", line, "", 0.0, 0.0, False))
         end = time.monotonic() + (options.seconds or 1e9)
-        for case in choose(targets, options.cases, options.seed, first, jobs):
+        for case in choose(targets, options.cases, options.seed, options.first + first, jobs):
             if time.monotonic() > end:
                 break
             results.put(run_case(case, seeds))
@@ -75,6 +76,7 @@ def main() -> int:
             targets = [target for target in TARGETS if options.only in target.name]
             *_, case = choose(targets, options.case + 1, options.seed, options.case)
             if options.keep:
+                options.keep.mkdir(parents=True, exist_ok=True)
                 place(case.target, seeds, options.keep, random.Random(case.seed + "/spoil"))
             _tell(run_case(case, seeds), options)
             return 0

@@ -21,6 +21,7 @@ __all__ = ["in_bag", "in_frame", "in_head", "in_las", "in_mcap", "in_pcap", "in_
 
 MAGIC = b"\x89MCAP0\r\n"
 BOMB = 300_000_000  # bytes; more than one chunk may have
+LARGEST = 10_000_000  # bytes of a chunk that is spoilt once more
 DEFINITIONS = (
     "A a\n====\nMSG: x/A\nA a\n",
     "float64[1000000000] data\n",
@@ -127,7 +128,7 @@ def _spoilt_chunk(body: bytes, rng: random.Random, depth: int) -> bytes:
     name = body[32 : 32 + length].decode(errors="replace")
     packed = body[40 + length :]
     try:
-        inner = _UNPACK[name](packed)
+        inner = _unpacked(name, packed)
     except Exception:
         return _overwritten(body, rng)
     records = records_of(inner)
@@ -172,6 +173,16 @@ _UNPACK: dict[str, Callable[[bytes], bytes]] = {
     "bz2": bz2.decompress,
     "none": bytes,
 }
+
+
+def _unpacked(name: str, packed: bytes) -> bytes:
+    """Unpack a chunk to spoil it; one that is a bomb by now stays one: spoiling it again took more than reading it."""
+    if name in _PACK and packed == _packed_bomb(name):
+        raise ValueError("a bomb already")
+    inner = _UNPACK[name](packed)
+    if len(inner) > LARGEST:
+        raise ValueError("large already")
+    return inner
 
 
 @lru_cache
@@ -261,7 +272,7 @@ def _spoilt_bag_record(fields: dict[bytes, bytes], data: bytes, rng: random.Rand
 def _spoilt_bag_chunk(fields: dict[bytes, bytes], data: bytes, rng: random.Random) -> tuple[dict[bytes, bytes], bytes]:
     name = fields.get(b"compression", b"none").decode(errors="replace")
     try:
-        inner = _UNPACK[name](data)
+        inner = _unpacked(name, data)
         records = _bag_records(inner)
     except Exception:
         return fields, _overwritten(data, rng)

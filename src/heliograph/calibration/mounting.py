@@ -2,22 +2,25 @@
 
 Both see the same turns: a rotation vector of the imu frame is the mounting's rotation of the lidar frame's (hand-eye
 calibration, R. Tsai, R. Lenz, 1989, for rotations alone). The LiDAR's turns come from its own odometry, the IMU's from
-integrating the gyroscope. The lever arm shows in how the two accelerate while turning; the filter estimates it as a
-state, beginning from zero with a wide uncertainty.
+integrating the gyroscope. The lever arm shows in how the two accelerate while turning; from that rough rotation on it
+is a calibration's business, which solves for motion, mounting, clock, gravity and biases at once. Where that does not
+settle the filter estimates the mounting as a state, beginning from zero with a wide uncertainty.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import Array, freeze
+from heliograph.calibration.lidar_imu import Calibration, calibrate
 from heliograph.config import RunConfig
 from heliograph.data import Event, GnssFix, ImuBatch, Rig, Scan
 from heliograph.data.error_layout import LEVER_ARM, MOUNTING_ROTATION
+from heliograph.errors import HeliographError
 from heliograph.lie import so3
 from heliograph.odometry import FilterOdometry
 from heliograph.odometry.follow import follow_lidar, thrifty
@@ -31,6 +34,8 @@ _LOOK_EVERY = 20  # scans after which it is asked whether the turns suffice
 _TURN_SIGMA = 0.004  # of one such comparison: the LiDAR's odometry and the gyroscope's drift together [rad]
 _SUFFICIENT_SIGMA = 0.005  # the rotation is known well enough when its weakest axis is [rad]
 _MAX_SECONDS = 60.0  # of the recording looked at [s]
+_CALIBRATED_SECONDS = 40.0  # of them that a calibration gets [s]
+_LARGEST_SIGMA = np.radians(1.0)  # of a calibrated rotation's weakest axis [rad]
 # Each pass begins with a better guess, so that its map is bent less by the error still to be found; it ends when a pass
 # changes little.
 _MAX_PASSES = 5
@@ -40,6 +45,8 @@ _IMPLAUSIBLE_SIGMAS = 4.0
 _THINNING_STEP = 3  # every third point is used: the mounting shows in the motion, not in the map's detail
 _LEVER_SIGMA = 0.3  # of a lever arm that no source gives [m]
 _ROTATION_FLOOR, _LEVER_FLOOR = 1e-3, 0.02  # of the sigmas that the filter ends with [rad], [m]
+_CALIBRATED_FLOOR = (5e-4, 0.005)  # of those that a calibration ends with [rad], [m]
+_CLOCK_SIGMAS, _LEAST_OFFSET = 5.0, 0.003  # of a clock offset that is told [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +89,8 @@ def align_mounting(
     Returns
     -------
     MountingAlignment
-        Rotation from turns, lever arm from the filter. An axis about which nothing turned keeps its wide sigma.
+        A calibration's, or where that does not settle the rotation from turns and the lever arm from the filter. An
+        axis about which nothing turned keeps its wide sigma.
     """
     turns_lidar, turns_imu, spans, until_ns, begin_ns = _turns(open_stream(), config, threads)
     duration = (until_ns - begin_ns) * 1e-9
@@ -101,8 +109,41 @@ def align_mounting(
         sigma_rotation=float(np.clip(sigma[-1], 0.01, 0.5)),
         sigma_translation=_LEVER_SIGMA,
     )
+    found = _calibrated(open_stream(), rough, config, threads)
+    if found is not None:
+        event = _found(found.rig, found.duration, _clock_in_words(found))
+        return MountingAlignment(rig=found.rig, sigma_rotation=sigma, duration=found.duration, events=(event,))
     rig = _settled(open_stream, rough, config, threads, begin_ns + int(_MAX_SECONDS * 1e9))
     return MountingAlignment(rig=rig, sigma_rotation=sigma, duration=duration, events=(_found(rig, duration),))
+
+
+def _calibrated(stream: Iterable[Message], rough: Rig, config: RunConfig, threads: int) -> Calibration | None:
+    """Let a calibration find the mounting; None where it does not settle near the turns' rotation, or knows no better.
+
+    Its rig comes with the sigmas that the run is told, and with the clock that the samples have already.
+    """
+    longest = min(config.calibration.longest, _CALIBRATED_SECONDS)
+    config = replace(config, calibration=replace(config.calibration, longest=longest))
+    try:
+        found = calibrate(stream, rough, config, threads=threads)
+    except HeliographError:
+        return None
+    finally:
+        if isinstance(stream, Generator):
+            stream.close()
+    sigma = np.array([axis.sigma for axis in found.axes])
+    turn, _ = _difference(rough, found.rig)
+    if not found.converged or sigma[:3].max() > _LARGEST_SIGMA or turn > _IMPLAUSIBLE_SIGMAS * rough.sigma_rotation:
+        return None
+    rig = replace(
+        rough,
+        T_imu_lidar=found.rig.T_imu_lidar,
+        source="calibrated from the recording",
+        known=True,
+        sigma_rotation=float(max(sigma[:3].max(), _CALIBRATED_FLOOR[0])),
+        sigma_translation=float(max(sigma[3:6].max(), _CALIBRATED_FLOOR[1])),
+    )
+    return replace(found, rig=rig)
 
 
 def _settled(
@@ -247,13 +288,13 @@ def _until(stream: Iterable[Message], until_ns: int) -> Iterator[Message]:
         yield message
 
 
-def _found(rig: Rig, duration: float) -> Event:
+def _found(rig: Rig, duration: float, clock: str = "") -> Event:
     angle = np.degrees(float(np.linalg.norm(so3.log(rig.T_imu_lidar[:3, :3]))))
     x, y, z = rig.T_imu_lidar[:3, 3]
     text = (
         f"no transform links LiDAR and IMU: it was aligned from {duration:.0f} s of motion - rotation {angle:.1f} deg "
         f"(+- {np.degrees(rig.sigma_rotation):.2f}), lever arm ({x:.3f}, {y:.3f}, {z:.3f}) m "
-        f"(+- {rig.sigma_translation:.3f}); give the true one with --extrinsic FILE or a /tf_static"
+        f"(+- {rig.sigma_translation:.3f}){clock}; give the true one with --extrinsic FILE or a /tf_static"
     )
     return Event(code="mounting-aligned", message=text)
 
@@ -269,4 +310,15 @@ def _unknown(duration: float, why: str) -> MountingAlignment:
         sigma_rotation=np.full(3, np.pi),
         duration=duration,
         events=(Event(code="mounting-unknown", message=text),),
+    )
+
+
+def _clock_in_words(found: Calibration) -> str:
+    """Return what is said of the clock that was found beside; empty where the samples' own is as good."""
+    offset, sigma = found.axes[6].value, found.axes[6].sigma
+    if abs(offset) < max(_CLOCK_SIGMAS * sigma, _LEAST_OFFSET):
+        return ""
+    return (
+        f", and the IMU's clock {1e3 * abs(offset):.1f} +- {1e3 * sigma:.1f} ms {'late' if offset > 0.0 else 'early'}, "
+        "which is left as it is: `heliograph calibrate` writes a file with both"
     )

@@ -24,7 +24,10 @@ _MAX_RESOLUTION = {
 }  # resolution above which it shows in the result [rad/s], [m/s^2]
 _UNITS = {"gyroscope": "rad/s", "accelerometer": "m/s^2"}
 _MIN_CLIPPED, _PILE_FACTOR = 4, 5.0  # samples at the very end of the range, and how many times as many as just below it
+_EQUAL_FACTOR = 4.0  # times as often as any other value far out; the crest of a sine on a coarse grid has 2.4 times
+_RANGE_TOLERANCE = 0.03  # by which the ends of a range may differ
 _VIBRATION_HZ = 15.0  # above what bodies do [Hz]
+_BLOWS, _LINE_SHARE = 8.0, 0.5  # kurtosis above, and share of the peak below which it is footfalls and no motor
 _SEGMENT_SAMPLES = 512  # samples of one spectrum
 _NYQUIST_SHARE = 0.85
 _AXES = "xyz"
@@ -141,6 +144,19 @@ def check_vibration(evidence: Evidence) -> Finding:
     text = f"above {_VIBRATION_HZ:.0f} Hz the {name} shakes by {shake.rms:.3g} {_UNITS[name]} RMS"
     if level == 0:
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
+    if shake.kurtosis > _BLOWS and shake.share < _LINE_SHARE:
+        text += (
+            f", in blows with calm between (kurtosis {shake.kurtosis:.0f}), as footfalls are, and not at one frequency"
+        )
+        remedy = "soften feet or mount, and choose a measuring range that the blows do not fill"
+        return Finding(
+            code=code,
+            title=title,
+            verdict="fail" if level == 2 else "warn",
+            evidence=text,
+            remedy=remedy,
+            numbers=numbers,
+        )
     text += f", {100 * shake.share:.0f} % of it at {shake.peak_hz:.0f} Hz"
     folded = shake.peak_hz > _NYQUIST_SHARE * nyquist or shake.top > 0.5 * shake.rms
     if folded:
@@ -191,33 +207,54 @@ def _resolution(values: Array) -> float:
 def _find_clipped(values: Array) -> NDArray[np.intp]:
     """Return the samples at the largest value, where they are too many to be chance."""
     largest, middle = float(values.max()), float(np.median(values))
-    if largest <= middle:
+    if largest <= max(middle, 0.0):  # a range reaches as far to either side of zero
         return np.zeros(0, np.intp)
     close = 1e-6 * (largest - middle)
     top = np.flatnonzero(values >= largest - close)
-    if len(top) < _MIN_CLIPPED or not np.any(np.diff(top) == 1):
+    if len(top) < _MIN_CLIPPED or len(np.unique(values)) <= 8:
         return np.zeros(0, np.intp)
+    return top if _piles_up(values, top, largest, middle) or _repeats(values, largest, middle) else top[:0]
+
+
+def _piles_up(values: Array, top: NDArray[np.intp], largest: float, middle: float) -> bool:
+    """Whether there are runs at the end of the range, and next to nothing just below it."""
+    if not np.any(np.diff(top) == 1):
+        return False
+    close = 1e-6 * (largest - middle)
     below = values[values < largest - close]
     level = float(below.max()) if len(below) else middle
     width = max(0.01 * (largest - middle), largest - level)
     near = int(np.count_nonzero(below >= largest - close - width))
     far = largest - middle > 4.0 * 1.4826 * float(np.median(np.abs(values - middle)))
     # Noise at rest on a coarse grid also ends in equal values, but not so far out and not with fewer just below.
-    return (
-        top
-        if len(top) > _PILE_FACTOR * max(near, 1) and (far or len(top) > 20) and len(np.unique(values)) > 8
-        else top[:0]
-    )
+    return len(top) > _PILE_FACTOR * max(near, 1) and (far or len(top) > 20)
+
+
+def _repeats(values: Array, largest: float, middle: float) -> bool:
+    """Whether the very largest value, to the bit, comes far more often than any other one far out.
+
+    Blows last for a sample each, and pass through all values on their way up: they pile up nothing in a row.
+    """
+    if -float(values.min()) > (1.0 + _RANGE_TOLERANCE) * largest:
+        return False  # the range reaches farther
+    _, counts = np.unique(values[values > 0.5 * (largest + middle)], return_counts=True)
+    others = int(counts[:-1].max()) if len(counts) > 1 else 1
+    return int(counts[-1]) >= _MIN_CLIPPED and int(counts[-1]) > _EQUAL_FACTOR * others
 
 
 @dataclass(frozen=True, slots=True)
 class _Shake:
-    """Spectrum above the frequencies of bodies: RMS, its peak, the peak's share of the power, RMS near Nyquist."""
+    """What is above the frequencies of bodies.
+
+    RMS, peak of its spectrum, the peak's share of the power, RMS near Nyquist; fourth moment by the square of the
+    second, which is 1.5 of a sine, 3 of noise, and large of blows with rests between.
+    """
 
     rms: float
     peak_hz: float
     share: float
     top: float
+    kurtosis: float
 
 
 def _shake(stamps_ns: NDArray[np.int64], values: Array) -> _Shake | None:
@@ -247,7 +284,18 @@ def _shake(stamps_ns: NDArray[np.int64], values: Array) -> _Shake | None:
         peak_hz=float((variance[beside] * hertz[beside]).sum() / max(float(variance[beside].sum()), 1e-300)),
         share=float(variance[beside].sum()) / max(whole, 1e-300),
         top=float(np.sqrt(variance[hertz > _NYQUIST_SHARE * hertz[-1]].sum())),
+        kurtosis=max(_kurtosis(stretch, period) for stretch in stretches if len(stretch) >= size),
     )
+
+
+def _kurtosis(values: Array, period: float) -> float:
+    """Return the largest kurtosis of the axes, of what a running mean over a body's fastest motion leaves."""
+    width = max(3, round(1.0 / (_VIBRATION_HZ * period)) | 1)
+    sums = np.cumsum(np.concatenate([np.zeros((1, values.shape[1])), values]), axis=0)
+    rest = values[width // 2 : len(values) - width // 2] - (sums[width:] - sums[:-width]) / width
+    square = np.mean(rest**2, axis=0)
+    strong = square > 0.1 * square.max()  # an axis on which nothing happens tells nothing
+    return float(np.max(np.mean(rest**4, axis=0)[strong] / square[strong] ** 2)) if square.any() else 0.0
 
 
 def _level(value: float, limits: tuple[float, float]) -> int:

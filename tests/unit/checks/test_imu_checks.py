@@ -257,6 +257,43 @@ def test_saturation_is_named_with_its_end(sound, change, where):
     assert ("11.5 m/s^2" in found.evidence) == ("accelerometer" in found.evidence)
 
 
+def footfalls(height):
+    """Blows of one sample, two a second, each of a height of its own."""
+
+    def change(imu):
+        rng, accel = np.random.default_rng(5), imu.accel.copy()
+        at = np.arange(40, len(imu), max(1, round(0.5e9 / float(np.median(np.diff(imu.stamps_ns))))))
+        accel[at, 2] += height * rng.uniform(0.3, 1.0, len(at))
+        return replace(imu, accel=accel)
+
+    return change
+
+
+def test_single_samples_at_the_end_of_the_range_are_saturation(sound):
+    limit = 4.0 * 9.80665
+
+    def struck(imu):
+        return clipped(accel=limit)(footfalls(60.0)(imu))
+
+    found = findings(sound, struck)["imu-saturation"]
+    assert found.verdict in ("warn", "fail") and "accelerometer z at +39.23" in found.evidence
+    assert findings(sound, footfalls(60.0))["imu-saturation"].verdict == "ok"
+
+
+def test_footfalls_are_told_from_a_motor(sound):
+    found = findings(sound, footfalls(120.0))["imu-vibration"]
+    assert found.verdict in ("warn", "fail") and "footfalls" in found.evidence and "motor" not in found.remedy
+    assert "motor" in findings(sound, shaken(47.0, 5.0))["imu-vibration"].remedy
+
+
+@pytest.mark.parametrize("hertz", [3.1, 21.7])
+def test_crest_of_a_sine_on_a_coarse_grid_is_not_saturation(sound, hertz):
+    def swung(imu):
+        return replace(imu, accel=np.round(shaken(hertz, 30.0, axis=0)(imu).accel / 0.5) * 0.5)
+
+    assert findings(sound, swung)["imu-saturation"].verdict == "ok"
+
+
 def test_coarse_grid_alone_is_not_saturation(sound):
     def rounded(imu):
         return replace(imu, gyro=np.round(imu.gyro / 0.002) * 0.002, accel=np.round(imu.accel / 0.04) * 0.04)

@@ -17,13 +17,17 @@ from heliograph.errors import FormatError
 
 __all__ = ["check_las"]
 
-_MAX_RATIO = 300  # LAZ of points that are all the same
+_MAX_RATIO = 300  # of LAZ above the size below, up to which points on a straight line may take no room at all
+_ALWAYS = 64_000_000  # bytes
 _COMPRESSED = 0xC0  # bits of the point format that say LAZ
 _VLR, _EVLR = 54, 60  # heads of variable length records [bytes]
 _LASZIP, _LASZIP_ID = b"laszip encoded", 22204
 _ANY_CHUNK = 0xFFFFFFFF  # chunks of sizes of their own
 _MAX_CHUNK = 1 << 24  # points of a chunk
 _MAX_ITEMS = 32
+_LAYERED = 3  # compressor of point formats from 6 on: a chunk begins with a point and the sizes of its layers
+_LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}  # by the kind of a part; extra bytes (14) have one a byte
+_EXTRA = 14
 
 
 def check_las(path: Path) -> None:
@@ -52,7 +56,8 @@ def check_las(path: Path) -> None:
                 raise _cut(path, f"{count} records behind the points")
         if not 227 <= length <= data <= size or records * _VLR > data - length:
             raise _cut(path, f"{records} records before the points at byte {data}")
-        if width < 20 or points * width > (_MAX_RATIO if kind & _COMPRESSED else 1) * size:
+        most = max(_ALWAYS, _MAX_RATIO * size) if kind & _COMPRESSED else size
+        if width < 20 or points * width > most:
             raise _cut(path, f"{points} points of {width} bytes")
         file.seek(length)
         laszip = _laszip(path, file.read(data - length), records)
@@ -60,7 +65,9 @@ def check_las(path: Path) -> None:
             if laszip is None:
                 raise FormatError(path, "is compressed, and says nothing of how; the file is damaged")
             _check_laszip(path, laszip, width)
-            _check_chunks(path, data, size, points)
+            table, count = _check_chunks(path, data, size, points)
+            if struct.unpack_from("<H", laszip)[0] == _LAYERED:
+                _check_layers(path, (data + 8, table), count, width, _layers(path, laszip))
 
 
 def _cut(path: Path, what: str) -> FormatError:
@@ -95,8 +102,39 @@ def _check_laszip(path: Path, record: bytes, width: int) -> None:
         raise FormatError(path, f"has chunks of {chunk} points; the file is damaged")
 
 
-def _check_chunks(path: Path, data: int, size: int, points: int) -> None:
-    """Look at where the table of chunks is, and at how many it counts: none holds less than a point and a byte."""
+def _layers(path: Path, record: bytes) -> int:
+    """Return how many layers a chunk has."""
+    found = 0
+    for k in range(struct.unpack_from("<H", record, 32)[0]):
+        kind, size = struct.unpack_from("<HH", record, 34 + 6 * k)
+        if kind != _EXTRA and kind not in _LAYERS:
+            raise FormatError(path, f"compresses a part of kind {kind} in layers, which has none; the file is damaged")
+        found += size if kind == _EXTRA else _LAYERS[kind]
+    return found
+
+
+def _check_layers(path: Path, span: tuple[int, int], count: int, width: int, layers: int) -> None:
+    """Walk from chunk to chunk: a decoder reserves what the layers are said to have before it reads them."""
+    at, end = span
+    head = width + 4 + 4 * layers
+    with path.open("rb") as file:
+        for _ in range(count):
+            file.seek(at + width + 4)
+            sizes = file.read(4 * layers)
+            whole = sum(struct.unpack(f"<{layers}I", sizes)) if len(sizes) == 4 * layers else end
+            if at + head + whole > end:
+                raise _cut(path, f"a chunk of {whole} bytes at byte {at}")
+            at += head + whole
+
+
+def _check_chunks(path: Path, data: int, size: int, points: int) -> tuple[int, int]:
+    """Look at where the table of chunks is, and at how many it counts: none holds less than a point and a byte.
+
+    Returns
+    -------
+    tuple of int
+        Byte of the table, chunks.
+    """
     with path.open("rb") as file:
         file.seek(data)
         table = int.from_bytes(file.read(8), "little", signed=True)
@@ -109,3 +147,4 @@ def _check_chunks(path: Path, data: int, size: int, points: int) -> None:
         count = int.from_bytes(file.read(4), "little")
         if count > max(points, 1) or count > size - data:
             raise _cut(path, f"{count} chunks")
+    return table, count
