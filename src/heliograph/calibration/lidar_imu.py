@@ -296,8 +296,11 @@ class _Run:
 
 def measured_noise(imu: ImuBatch, config: ImuConfig) -> ImuNoise:
     """Return the noise of an IMU from the seconds at rest in a recording, or of one never at rest."""
-    rests = []
-    for start in range(int(imu.stamps_ns[0]), int(imu.stamps_ns[-1]) - _REST_WINDOW_NS + 1, _REST_WINDOW_NS // 2):
+    rests, half = [], _REST_WINDOW_NS // 2
+    # Only windows with a sample in them: of a gap in the stamps there is any number.
+    steps = np.unique(((imu.stamps_ns - imu.stamps_ns[0]) // half)[:, None] + np.array([-1, 0]))
+    starts = int(imu.stamps_ns[0]) + steps[steps >= 0] * half
+    for start in starts[starts <= int(imu.stamps_ns[-1]) - _REST_WINDOW_NS].tolist():
         first, last = np.searchsorted(imu.stamps_ns, [start, start + _REST_WINDOW_NS]).tolist()
         if last - first >= _MIN_REST_SAMPLES:
             rest = assess_stillness(

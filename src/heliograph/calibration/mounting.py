@@ -34,7 +34,7 @@ _LOOK_EVERY = 20  # scans after which it is asked whether the turns suffice
 _TURN_SIGMA = 0.004  # of one such comparison: the LiDAR's odometry and the gyroscope's drift together [rad]
 _SUFFICIENT_SIGMA = 0.005  # the rotation is known well enough when its weakest axis is [rad]
 _MAX_SECONDS = 60.0  # of the recording looked at [s]
-_CALIBRATED_SECONDS = 40.0  # of them that a calibration gets [s]
+_CALIBRATED_SECONDS, _CALIBRATED_POINTS = 30.0, 6000  # of them that a calibration gets [s], and of a scan
 _LARGEST_SIGMA = np.radians(1.0)  # of a calibrated rotation's weakest axis [rad]
 # Each pass begins with a better guess, so that its map is bent less by the error still to be found; it ends when a pass
 # changes little.
@@ -122,8 +122,13 @@ def _calibrated(stream: Iterable[Message], rough: Rig, config: RunConfig, thread
 
     Its rig comes with the sigmas that the run is told, and with the clock that the samples have already.
     """
-    longest = min(config.calibration.longest, _CALIBRATED_SECONDS)
-    config = replace(config, calibration=replace(config.calibration, longest=longest))
+    calibration = config.calibration
+    least = replace(
+        calibration,
+        longest=min(calibration.longest, _CALIBRATED_SECONDS),
+        points=min(calibration.points, _CALIBRATED_POINTS),
+    )
+    config = replace(config, calibration=least)
     try:
         found = calibrate(stream, rough, config, threads=threads)
     except HeliographError:
@@ -294,7 +299,8 @@ def _found(rig: Rig, duration: float, clock: str = "") -> Event:
     text = (
         f"no transform links LiDAR and IMU: it was aligned from {duration:.0f} s of motion - rotation {angle:.1f} deg "
         f"(+- {np.degrees(rig.sigma_rotation):.2f}), lever arm ({x:.3f}, {y:.3f}, {z:.3f}) m "
-        f"(+- {rig.sigma_translation:.3f}){clock}; give the true one with --extrinsic FILE or a /tf_static"
+        f"(+- {rig.sigma_translation:.3f}){clock}; give the true one with --extrinsic FILE or a /tf_static, "
+        "or this one again with this run's run.json as FILE"
     )
     return Event(code="mounting-aligned", message=text)
 

@@ -148,7 +148,9 @@ def _block_means(imu: ImuBatch, samples: NDArray[np.float64], block: float) -> N
     """
     t = (imu.stamps_ns - imu.stamps_ns[0]) * (1e-9 / block)
     means = []
-    for begin in np.arange(0.0, float(t[-1]) - 1.0 + 1e-6, 0.5):
+    # Only blocks with a sample in them: of a gap in the stamps there is any number.
+    halves = np.unique(np.concatenate([np.floor(2.0 * t), np.floor(2.0 * t) - 1.0]))
+    for begin in 0.5 * halves[(halves >= 0.0) & (0.5 * halves < float(t[-1]) - 1.0 + 1e-6)]:
         weight = np.where(np.abs(t - begin - 0.5) < 0.5, np.sin(np.pi * (t - begin)) ** 2, 0.0)
         if float(weight.sum()) > 0.0:
             means.append(weight @ samples / weight.sum())

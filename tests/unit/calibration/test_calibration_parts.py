@@ -50,6 +50,12 @@ def sensors(offset, R_imu_lidar, *, axes=(1.0, 1.0, 1.0)):
     return ends, attitude(ends).as_matrix() @ R_imu_lidar, imu
 
 
+def test_noise_over_a_gap_costs_nothing():
+    stamps = EPOCH + np.concatenate([np.arange(400), 2 * 10**14 + np.arange(400)]) * 5_000_000  # 32 years
+    imu = ImuBatch(stamps_ns=stamps, gyro=np.ones((800, 3)), accel=np.full((800, 3), 5.6), received_ns=0)
+    assert measured_noise(imu, ImuConfig()).gyro > 0.0
+
+
 def test_turns_tell_offset_and_rotation():
     R = so3.exp([0.3, -0.2, 1.1])
     ends, R_odom_lidar, imu = sensors(0.037, R)

@@ -96,6 +96,13 @@ def test_motion_is_not_rest_and_the_reason_names_it(rng, disturb, reason):
     assert verdict.noise.gyro == CONFIG.gyro_noise  # what moved tells nothing of noise
 
 
+def test_gap_in_the_stamps_costs_nothing(rng):
+    imu = resting(rng)
+    stamps = imu.stamps_ns.copy()
+    stamps[len(stamps) // 2 :] += 1_000_000_000 * 10**9  # 32 years: 1e10 half blocks, an array beyond the memory
+    assert assess_stillness(replace(imu, stamps_ns=stamps), ImuConfig()).duration > 1e9
+
+
 def test_two_samples_are_needed(rng):
     one = resting(rng, duration=0.0)
     assert len(one) == 1
