@@ -109,16 +109,23 @@ def align_mounting(
         sigma_rotation=float(np.clip(sigma[-1], 0.01, 0.5)),
         sigma_translation=_LEVER_SIGMA,
     )
-    found = _calibrated(open_stream(), rough, config, threads)
-    if found is not None:
+    found, sure = _calibrated(open_stream(), rough, config, threads)
+    if found is not None and sure:
         event = _found(found.rig, found.duration, _clock_in_words(found))
         return MountingAlignment(rig=found.rig, sigma_rotation=sigma, duration=found.duration, events=(event,))
     rig = _settled(open_stream, rough, config, threads, begin_ns + int(_MAX_SECONDS * 1e9))
+    if found is not None:  # two ways that disagree are no surer than by as much as they do
+        turn, shift = _difference(rig, found.rig)
+        rig = replace(
+            rig, sigma_rotation=max(rig.sigma_rotation, turn), sigma_translation=max(rig.sigma_translation, shift)
+        )
     return MountingAlignment(rig=rig, sigma_rotation=sigma, duration=duration, events=(_found(rig, duration),))
 
 
-def _calibrated(stream: Iterable[Message], rough: Rig, config: RunConfig, threads: int) -> Calibration | None:
-    """Let a calibration find the mounting; None where it does not settle near the turns' rotation, or knows no better.
+def _calibrated(
+    stream: Iterable[Message], rough: Rig, config: RunConfig, threads: int
+) -> tuple[Calibration | None, bool]:
+    """Let a calibration find the mounting; return it, and whether it settled near the turns' rotation and knows better.
 
     Its rig comes with the sigmas that the run is told, and with the clock that the samples have already.
     """
@@ -132,14 +139,13 @@ def _calibrated(stream: Iterable[Message], rough: Rig, config: RunConfig, thread
     try:
         found = calibrate(stream, rough, config, threads=threads)
     except HeliographError:
-        return None
+        return None, False
     finally:
         if isinstance(stream, Generator):
             stream.close()
     sigma = np.array([axis.sigma for axis in found.axes])
     turn, _ = _difference(rough, found.rig)
-    if not found.converged or sigma[:3].max() > _LARGEST_SIGMA or turn > _IMPLAUSIBLE_SIGMAS * rough.sigma_rotation:
-        return None
+    near = turn <= _IMPLAUSIBLE_SIGMAS * rough.sigma_rotation
     rig = replace(
         rough,
         T_imu_lidar=found.rig.T_imu_lidar,
@@ -148,7 +154,7 @@ def _calibrated(stream: Iterable[Message], rough: Rig, config: RunConfig, thread
         sigma_rotation=float(max(sigma[:3].max(), _CALIBRATED_FLOOR[0])),
         sigma_translation=float(max(sigma[3:6].max(), _CALIBRATED_FLOOR[1])),
     )
-    return replace(found, rig=rig)
+    return replace(found, rig=rig), bool(found.converged and near and sigma[:3].max() <= _LARGEST_SIGMA)
 
 
 def _settled(

@@ -56,8 +56,8 @@ def check_las(path: Path) -> None:
                 raise _cut(path, f"{count} records behind the points")
         if not 227 <= length <= data <= size or records * _VLR > data - length:
             raise _cut(path, f"{records} records before the points at byte {data}")
-        most = max(_ALWAYS, _MAX_RATIO * size) if kind & _COMPRESSED else size
-        if width < 20 or points * width > most:
+        max_bytes = max(_ALWAYS, _MAX_RATIO * size) if kind & _COMPRESSED else size
+        if width < 20 or points * width > max_bytes:
             raise _cut(path, f"{points} points of {width} bytes")
         file.seek(length)
         laszip = _laszip(path, file.read(data - length), records)

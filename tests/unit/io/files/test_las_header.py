@@ -31,6 +31,7 @@ FORGED = {
     "items": lambda c: struct.pack_into("<H", c, compression(c) + 32, 60_000),
     "size of an item": lambda c: struct.pack_into("<H", c, compression(c) + 36, 60_000),
     "chunk": lambda c: struct.pack_into("<I", c, compression(c) + 12, 2**31),
+    "layer": lambda c: struct.pack_into("<I", c, struct.unpack_from("<I", c, 96)[0] + 8 + 30 + 4 + 28, 2**32 - 256),
     "table": lambda c: struct.pack_into("<q", c, struct.unpack_from("<I", c, 96)[0], 2**60),
     "chunks": lambda c: struct.pack_into(
         "<I", c, struct.unpack_from("<q", c, struct.unpack_from("<I", c, 96)[0])[0] + 4, 3_710_846_819
@@ -48,6 +49,14 @@ def test_forged_laz_is_refused(tmp_path, rng, what):
     with pytest.raises(FormatError, match=r"cloud\.laz") as caught:
         read_points(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("form", [0, 6, 7, 8])
+def test_points_on_a_line_in_several_chunks_are_read(tmp_path, form):
+    las = laspy.LasData(laspy.LasHeader(point_format=form, version="1.4"))
+    las.x = las.y = las.z = np.arange(60_000.0)  # 300 times smaller than their points, and two chunks
+    las.write(str(tmp_path / "line.laz"))
+    assert read_points(tmp_path / "line.laz").shape == (60_000, 3)
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
