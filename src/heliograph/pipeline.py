@@ -94,17 +94,26 @@ def run(
         repairs, mends = tuple(earlier["repairs"]), earlier["watchful"]
         source = RepairedSource(recording, repairs) if repairs else recording
     elif mends and any(event.code == "clock-mismatch" for event in recording.events):
-        source, repairs = repaired(recording, config, clock, sure=True)
+        source, repairs, _ = repaired(recording, config, clock, sure=True)
         mends = False
     keeper = Keeper(checkpoints, repairs, watchful=mends)
     account = attempt(source, config, sinks, clock, speeds, stop=stop, odometry=odometry, folder=folder, keeper=keeper)
     if account.suspicious:  # the data contradict each other: see whether that can be mended, and begin anew
-        source, repairs = repaired(recording, config, clock)
+        source, repairs, cause = repaired(recording, config, clock)
         for sink in sinks:
             sink.restart()
         keeper = keeper.anew(repairs)
         account = attempt(
-            source, config, sinks, clock, speeds, stop=stop, odometry=odometry, folder=folder, keeper=keeper
+            source,
+            config,
+            sinks,
+            clock,
+            speeds,
+            stop=stop,
+            odometry=odometry,
+            folder=folder,
+            keeper=keeper,
+            cause=cause,
         )
     summary = replace(account.summary, repairs=repairs)
     account.close(summary)  # 7. every sink ends with what it has; a failure goes on from here
@@ -122,8 +131,12 @@ def attempt(
     odometry: Odometry | None,
     folder: Path | None,
     keeper: Keeper,
+    cause: str = "",
 ) -> Account:
-    """Run once through a recording; a watchful one ends when its data contradict each other."""
+    """Run once through a recording; a watchful one ends when its data contradict each other.
+
+    ``cause`` says why they do, where nothing could be mended.
+    """
     sensors, threads = sensors_in_use(recording, config), thread_count(config)
     watchful = keeper.watchful and recording.repeatable
     account = Account(sinks, clock, RunWatch(sensors, config.check), watchful=watchful)
@@ -135,6 +148,8 @@ def attempt(
         if speeds is not None:
             slam.observe_speeds(speeds)
         keeper.follow(account, odometry, slam, rig, found)
+        if cause:
+            account.tally.add_events((Event(code="imu-cause", message=cause, severity="error"),))
         with account.until_the_end(), closing(messages(recording, sensors, threads)) as stream:
             stream_of_run = islice(with_side_fixes(stream, config.gnss), keeper.messages, None)
             for message in clock.each("reading", stream_of_run):  # 1. the recording's messages, in causal order
@@ -167,12 +182,12 @@ def attempt(
 
 def repaired(
     recording: Source, config: RunConfig, clock: Clock, *, sure: bool = False
-) -> tuple[Source, tuple[SensorRepair, ...]]:
-    """Return the recording as it can be mended, and how; itself and nothing where it cannot."""
+) -> tuple[Source, tuple[SensorRepair, ...], str]:
+    """Return the recording as it can be mended, and how; itself, nothing and the likely cause where it cannot."""
     with clock("repairs"):
-        repairs = find_repairs(recording, config, threads=thread_count(config), sure=sure)
+        repairs, cause = find_repairs(recording, config, threads=thread_count(config), sure=sure)
     mended: Source = RepairedSource(recording, repairs) if repairs else recording
-    return mended, repairs
+    return mended, repairs, cause
 
 
 @contextmanager

@@ -145,9 +145,7 @@ def check_vibration(evidence: Evidence) -> Finding:
     if level == 0:
         return Finding(code=code, title=title, verdict="ok", evidence=text, numbers=numbers)
     if shake.kurtosis > _BLOWS and shake.share < _LINE_SHARE:
-        text += (
-            f", in blows with calm between (kurtosis {shake.kurtosis:.0f}), as footfalls are, and not at one frequency"
-        )
+        text += f", in blows with calm between (kurtosis {shake.kurtosis:.0f}), as footfalls or spoilt samples are"
         remedy = "soften feet or mount, and choose a measuring range that the blows do not fill"
         return Finding(
             code=code,

@@ -27,6 +27,7 @@ from heliograph.data import Event, ImuBatch, ImuClock, Message, Rig, SensorRepai
 from heliograph.errors import HeliographError
 from heliograph.examination import lidar_motion
 from heliograph.lie import so3
+from heliograph.repair.cause import likely_cause
 from heliograph.repair.source import RepairedSource
 
 __all__ = ["find_repairs", "sensor_repairs"]
@@ -54,7 +55,7 @@ Step = Callable[[Evidence], "SensorRepair | None"]
 
 def find_repairs(
     source: Source, config: RunConfig, *, threads: int = 1, sure: bool = False
-) -> tuple[SensorRepair, ...]:
+) -> tuple[tuple[SensorRepair, ...], str]:
     """Return what mends a recording's inertial data, in the order of application; nothing where nothing is sure.
 
     Parameters
@@ -65,16 +66,29 @@ def find_repairs(
     threads : int
     sure : bool
         That the clocks differ is known already; then a small offset is mended as well.
+
+    Returns
+    -------
+    repairs : tuple of SensorRepair
+    cause : str
+        Where there are none: what most likely is wrong, and what helps; empty where nothing tells.
     """
     if not source.repeatable or not source.sensors >= {"lidar", "imu"}:
-        return ()
+        return (), ""
     tee = _Tee(source)
     motion, _ = lidar_motion(tee, config, threads=threads, seconds=_SECONDS)
     whole = ImuBatch.joined(tee.batches)
-    if len(whole) < 2:
-        return ()
-    if motion is None or (lost := _useless(_evidence(whole, motion, config))) is not None:
-        return (lost,) if motion is not None and lost is not None and config.sensors == "auto" else ()
+    if len(whole) < 2 or motion is None:
+        return (), ""
+    repairs = _found(source, whole, motion, config, threads=threads, sure=sure)
+    return repairs, "" if repairs else likely_cause(_evidence(whole, motion, config))
+
+
+def _found(
+    source: Source, whole: ImuBatch, motion: CheckedMotion, config: RunConfig, *, threads: int, sure: bool
+) -> tuple[SensorRepair, ...]:
+    if (lost := _useless(_evidence(whole, motion, config))) is not None:
+        return (lost,) if config.sensors == "auto" else ()
     found, wrong = sensor_repairs(whole, motion, config, sure=sure)
     if wrong or any(not repair.clock.exact for repair in found):
         start = _by_turns(_evidence(_mended(whole, found), motion, config)) if wrong else None
