@@ -87,7 +87,7 @@ def draw(images: Path, work: Path) -> None:
     shifted[:, :2] = shifted[:, :2] @ turn.T + [0.9, -0.5]
     beside(images / "failure_loop.png", walls, level(np.concatenate([healthy, shifted])))
     tunnel = work / "tunnel"
-    write_recording(tunnel, SCENARIOS["tunnel"].thinned(beams=32, columns=512, duration=8.0), seed=1)
+    write_recording(tunnel, SCENARIOS["tunnel"].thinned(beams=16, columns=256, duration=12.0), seed=1)
     beside(
         images / "failure_tunnel.png",
         run(tunnel, work / "through"),

@@ -25,6 +25,9 @@ def compare(
     align: Annotated[
         Align, typer.Option("--align", help="Of the trajectories, before their distance is taken.")
     ] = Align.se3,
+    html: Annotated[
+        Path | None, typer.Option("--html", metavar="FILE", help="As a page too: table, ways from above, maps.")
+    ] = None,
     json: options.Json = False,
 ) -> None:
     """Put runs side by side: verdicts, distance between them, gaps, loops, maps, time, and settings that differ."""
@@ -32,24 +35,36 @@ def compare(
     from heliograph.output.facts import plain
 
     found = compare_runs(runs, align=align.value)
+    if html is not None:
+        from heliograph.atomic import write_text
+        from heliograph.report.pages import comparison_page
+
+        names, rows, notes = _parts(found)
+        write_text(html, comparison_page(names, rows, [run.folder for run in found.runs], notes))
     typer.echo(jsonlib.dumps(plain(found.as_dict())) if json else "\n".join(_table(found)))
 
 
-def _table(found: RunComparison) -> list[str]:
+def _parts(found: RunComparison) -> tuple[list[str], list[tuple[str, list[str]]], list[str]]:
+    """Return the runs' names, the rows of the table, and what is to be said beside it."""
     names = [f"{number}. {run.folder.resolve().name}" for number, run in enumerate(found.runs, 1)]
     rows = [(title, [cell(run) for run in found.runs]) for title, cell in _ROWS]
+    rows = [(title, cells) for title, cells in rows if any(cell != "-" for cell in cells)]
+    notes = [f"{name}: {reason}" for name, run in zip(names, found.runs, strict=True) for reason in _reasons(run)]
+    notes += [f"{name}: not the recording of the first run" for name, run in zip(names, found.runs, strict=True)
+              if run.same_recording is False]  # fmt: skip
+    notes += [f"{key}: {', '.join(map(_shown, row))}" for key, row in found.settings.items()]
+    return names, rows, [*notes, *([] if found.settings else ["the settings are the same"])]
+
+
+def _table(found: RunComparison) -> list[str]:
+    names, rows, notes = _parts(found)
     widths = [max(len(name), *(len(cells[k]) for _, cells in rows)) for k, name in enumerate(names)]
     first = max(len(title) for title, _ in rows)
     lines = ["  ".join([" " * first, *(name.ljust(width) for name, width in zip(names, widths, strict=True))]).rstrip()]
     for title, cells in rows:
-        if any(cell != "-" for cell in cells):
-            filled = (cell.ljust(width) for cell, width in zip(cells, widths, strict=True))
-            lines.append("  ".join([title.ljust(first), *filled]).rstrip())
-    lines += [f"{name}: {reason}" for name, run in zip(names, found.runs, strict=True) for reason in _reasons(run)]
-    lines += [f"{name}: not the recording of the first run" for name, run in zip(names, found.runs, strict=True)
-              if run.same_recording is False]  # fmt: skip
-    lines += [f"{key}: {', '.join(map(_shown, row))}" for key, row in found.settings.items()]
-    return [*lines, *([] if found.settings else ["the settings are the same"])]
+        filled = (cell.ljust(width) for cell, width in zip(cells, widths, strict=True))
+        lines.append("  ".join([title.ljust(first), *filled]).rstrip())
+    return [*lines, *notes]
 
 
 def _reasons(run: RunLine) -> list[str]:

@@ -37,6 +37,9 @@ def evaluate(
     time_offset: Annotated[
         str, typer.Option("--time-offset", metavar="S|auto", help="Added to the estimate's stamps.")
     ] = "0",
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE.html", help="Both ways and the error over time, as a page.")
+    ] = None,
     json: options.Json = False,
 ) -> None:
     """Compare a trajectory with a reference: absolute error (ATE) and relative error (RPE)."""
@@ -49,13 +52,15 @@ def evaluate(
         raise ConfigError(f"--time-offset '{time_offset}' is neither a number of seconds nor 'auto'") from None
     if not delta > 0.0:
         raise ConfigError(f"--delta {delta:g} is not a positive length in metres")
-    result = evaluate_trajectory(
-        read_trajectory(estimate, "trajectory.tum"),
-        read_trajectory(reference, "groundtruth_imu.tum"),
-        align=align.value,
-        delta=delta,
-        time_offset=offset,
-    )
+    ours, theirs = read_trajectory(estimate, "trajectory.tum"), read_trajectory(reference, "groundtruth_imu.tum")
+    result = evaluate_trajectory(ours, theirs, align=align.value, delta=delta, time_offset=offset)
+    if plot is not None:
+        from heliograph.atomic import write_text
+        from heliograph.metrics import associate
+        from heliograph.report.pages import evaluation_page
+
+        pair = associate(ours, theirs, time_offset=result.time_offset)
+        write_text(plot, evaluation_page(pair, result, evaluation_lines(result)))
     typer.echo(jsonlib.dumps(result.as_dict()) if json else "\n".join(evaluation_lines(result)))
 
 

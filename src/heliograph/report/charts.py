@@ -12,7 +12,17 @@ from heliograph.output.scan_log import ScanTable
 from heliograph.report.colors import OBSERVABILITY, css_gradient
 from heliograph.report.svg import Axis, Line, Span, line_chart, nice_ticks, number, polyline, text
 
-__all__ = ["biases", "eigenvalues", "matching", "motion", "timings", "trajectory", "uncertainty"]
+__all__ = [
+    "biases",
+    "centre_axis",
+    "eigenvalues",
+    "equal_grid",
+    "matching",
+    "motion",
+    "timings",
+    "trajectory",
+    "uncertainty",
+]
 
 _EVEN_SHARE = 1.0 / 3.0  # each translation eigenvalue where all directions are observed alike
 _MIN_SHOWN_SHARE = 1e-3
@@ -165,10 +175,10 @@ def trajectory(record: RunRecord, turned: bool) -> str:
     scale = min((width - left - right) / span_x, 520.0 / span_y)
     height = int(max(span_y * scale, 120.0)) + top + bottom
     plot_w, plot_h = (width - left - right) / scale, (height - top - bottom) / scale
-    x_axis = _centre(across, plot_w, left, width - right)
-    y_axis = _centre(up, plot_h, height - bottom, top)
+    x_axis = centre_axis(across, plot_w, left, width - right)
+    y_axis = centre_axis(up, plot_h, height - bottom, top)
     parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="Trajectory from above">']
-    parts += _equal_grid(x_axis, y_axis, ("−y [m]", "x [m]") if turned else ("x [m]", "y [m]"), height, bottom, left)
+    parts += equal_grid(x_axis, y_axis, ("−y [m]", "x [m]") if turned else ("x [m]", "y [m]"), height, bottom, left)
     parts += _colored_path(x_axis(across), y_axis(up), _observability(record.scans))
     parts += marker(float(x_axis(across[0])), float(y_axis(up[0])), "start")
     parts += marker(float(x_axis(across[-1])), float(y_axis(up[-1])), "end")
@@ -179,12 +189,14 @@ def trajectory(record: RunRecord, turned: bool) -> str:
     return f'<figure class="panel wide"><figcaption>{caption}</figcaption>{"".join(parts)}</svg></figure>'
 
 
-def _centre(values: NDArray[np.float64], length: float, start: float, end: float) -> Axis:
+def centre_axis(values: NDArray[np.float64], length: float, start: float, end: float) -> Axis:
+    """Return an axis of a length [m] about the middle of values."""
     middle = 0.5 * (float(values.min()) + float(values.max()))
     return Axis(low=middle - length / 2, high=middle + length / 2, start=start, end=end)
 
 
-def _equal_grid(x_axis: Axis, y_axis: Axis, labels: tuple[str, str], height: int, bottom: int, left: int) -> list[str]:
+def equal_grid(x_axis: Axis, y_axis: Axis, labels: tuple[str, str], height: int, bottom: int, left: int) -> list[str]:
+    """Return the grid of a picture that has one scale for both axes, with ticks and the axes' names."""
     parts = []
     step_count = 8
     ticks = nice_ticks(x_axis.low, x_axis.high, step_count)

@@ -39,6 +39,20 @@ def test_compare_tells_distances_and_the_settings_that_differ(runs, capsys):
     assert found["runs"][1]["settings"] == {"output.map_voxel": 0.2, "threads": 1}
 
 
+def test_compare_and_evaluate_write_pages_that_need_nothing_else(runs, tmp_path, capsys):
+    page = tmp_path / "compare.html"
+    assert main(["compare", str(runs / "one"), str(runs / "two"), "--html", str(page)]) == 0
+    shown, html = capsys.readouterr().out, page.read_text()
+    for row in ("status", "ATE to the first", "map points", "output.map_voxel: 0.1, 0.2"):
+        assert row in shown and row in html
+    assert html.count("data:image/png") == 2 and html.count('class="line c') == 2
+    assert not re.search(r'(src|href)="(?!data:|#)', html)
+    page = tmp_path / "evaluation.html"
+    assert main(["evaluate", str(runs / "one"), str(runs / "made"), "--plot", str(page)]) == 0
+    first = capsys.readouterr().out.splitlines()[1]
+    assert first in page.read_text() and "Error of the position" in page.read_text()
+
+
 def test_compare_of_a_run_with_itself_differs_in_nothing(runs, capsys):
     assert main(["compare", str(runs / "one"), str(runs / "one")]) == 0
     assert "the settings are the same" in capsys.readouterr().out
