@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from heliograph.graph import Between, Covariance, FactorGraph, Marginals, Symbol
 from heliograph.lie import SE3, se3
 from heliograph.survey.placed_run import position_in_frame
 
-__all__ = ["SURVEYS", "gnss_section", "measure_gnss"]
+__all__ = ["SURVEYS", "georeference_section", "measure_gnss"]
 
 X, E = Symbol("X"), Symbol("E")
 SURVEYS: dict[str, dict[str, Any]] = {
@@ -30,6 +30,14 @@ SURVEYS: dict[str, dict[str, Any]] = {
     "lying": {"gnss": {"reported_scale": 0.01}},
 }
 _PLACE = {"still": "survey-campus", "lying": "survey-campus"}
+_HEAD = """## Surveys with satellite fixes
+
+Simulated ways (campus 1.1 km, city 3 km), the odometry's noise drawn step by step (3 mm, 0.02 deg a metre), fixes
+twice a second with 60 s of outage, 20 s of reflection at 15 m, two jumps, 8 s of freezing; `lying` claims a hundredth
+of its noise, `still` stands for 5 s. `python -m benchmarks.gnss 201 220`, seeds not used before. Bars: 0.3 m with fixes
+of 1 m, 0.03 m with RTK, heading 0.1 deg, no fix of a bad spell above 0.1.
+
+"""
 _EVERY = 50  # keyframes between those whose NEES is looked at
 
 
@@ -96,17 +104,17 @@ def _nees(world: Survey, fixes: Any, smoother: Any, off: np.ndarray) -> float:  
     return float(np.mean(found))
 
 
-def gnss_section(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the table of a set of rows."""
-    heads = (
-        "survey", "runs", "RMSE, median / worst [m]", "map's heading, median / worst [deg]",
-        "heading of keyframes, median [deg]", "heaviest fix of a bad spell", "NEES of position, mean", "not aligned",
-    )  # fmt: skip
-    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+def georeference_section(rows: Sequence[dict[str, Any]], table: Callable[[list[str], list[list[Any]]], str]) -> str:
+    """Return the section of a set of rows."""
+    head = [
+        "survey", "runs", "RMSE, median / worst m", "map's heading, median / worst deg",
+        "heading of keyframes, median deg", "heaviest fix of a bad spell", "NEES of position (3)", "not aligned",
+    ]  # fmt: skip
+    body: list[list[Any]] = []
     for name in dict.fromkeys(row["survey"] for row in rows):
         some = [row for row in rows if row["survey"] == name]
         well = [row for row in some if row["aligned"]]
-        cells = [name, str(len(some)), *["-"] * 5, str(len(some) - len(well))]
+        cells = [name, len(some), *["-"] * 5, len(some) - len(well)]
         if well:
             keys = ("rmse_m", "mean_heading_deg", "heading_deg")
             rmse, turn, heading = (np.array([row[key] for row in well]) for key in keys)
@@ -117,8 +125,8 @@ def gnss_section(rows: Sequence[dict[str, Any]]) -> str:
                 f"{max(row['heaviest_bad'] for row in well):.2f}",
                 f"{np.mean([row['nees'] for row in well]):.2f}",
             ]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+        body.append(cells)
+    return _HEAD + table(head, body)
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -128,7 +136,9 @@ def main(arguments: Sequence[str]) -> None:
     for row in measure_gnss(range(int(first), int(last) + 1), names):
         rows.append(row)
         print(row, flush=True)
-    print(gnss_section(rows))
+    from benchmarks.table import _table
+
+    print(georeference_section(rows, _table))
 
 
 if __name__ == "__main__":

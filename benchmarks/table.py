@@ -11,6 +11,7 @@ from typing import Any
 from benchmarks.blind import blind_section
 from benchmarks.calibrate import calibration_section
 from benchmarks.global_alignment import global_section
+from benchmarks.gnss import georeference_section
 from benchmarks.graph_table import graph_section, graph_summary, scale_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
@@ -24,6 +25,7 @@ from benchmarks.outliers import outliers_section
 from benchmarks.registration import registration_section
 from benchmarks.sigmas import sigmas_section
 from benchmarks.start import start_section
+from benchmarks.wheels import wheels_section
 
 __all__ = ["write_readme", "write_table"]
 
@@ -49,6 +51,8 @@ _OTHER_SECTIONS = {
     "localization": localization_section,
     "match_scores": scores_section,
     "sigmas": sigmas_section,
+    "georeference": georeference_section,
+    "wheels": wheels_section,
 }
 
 

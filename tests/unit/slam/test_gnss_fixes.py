@@ -1,5 +1,8 @@
 """Satellite fixes on ways whose odometry drifts: what is believed, what is left out, and where the map comes to lie."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from tests.gnss_worlds import absolute_error, georeferenced, survey
@@ -157,3 +160,27 @@ def test_covariance_is_never_below_the_floor():
     intake.add(fix(0, covariance_enu=np.diag([1e-6, 4.0, 1e-6]), solution="single"))
     P = intake.positions()[1][0]
     np.testing.assert_allclose(np.sqrt(np.diag(P)), [config.floor_single, 2.0, 1.5 * config.floor_single])
+
+
+def test_fixes_without_covariance_are_told_once():
+    intake = FixIntake(GnssConfig())
+    for k in range(3):
+        intake.add(fix(k))
+    (event,) = intake.events()
+    assert event.code == "gnss-no-covariance"
+    assert "\n" not in event.message
+
+
+def test_fixes_of_another_clock_place_nothing_and_the_clock_is_named():
+    world = survey("survey-campus", 23, gnss=QUIET, duration=60.0)
+    log = world.log
+    late = replace(world, log=SimpleNamespace(stamps_ns=log.stamps_ns, fixes=lambda: map(an_hour_later, log.fixes())))
+    fixes, smoother = georeferenced(late)
+    assert not fixes.in_use
+    reason = fixes.account(smoother, world.chain.T_odom_imu).reason
+    assert "clock" in reason
+    assert "\n" not in reason
+
+
+def an_hour_later(fix):
+    return replace(fix, stamp_ns=fix.stamp_ns + 3600 * 10**9)

@@ -89,6 +89,14 @@ def test_wheels_with_a_wrong_sign_or_unit_are_told(tmp_path, rng, factor, ratio)
     assert not back_end.moves
 
 
+def test_wheels_of_another_clock_are_told(tmp_path, rng):
+    wheels = speeds(rng, 5, 1.0)
+    late = replace(wheels, stamps_ns=wheels.stamps_ns + 3600 * 10**9)
+    (event,) = through(tmp_path, rng, 5, late).wheels.events()
+    assert event.code == "wheel-clock"
+    assert "clock_offset" in event.message
+
+
 def test_without_wheels_nothing_is_said(tmp_path, rng):
     back_end = through(tmp_path, rng, 5, None)
     assert back_end.account().wheels is None

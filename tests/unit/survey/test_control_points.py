@@ -179,6 +179,13 @@ def test_tables_that_cannot_be_are_refused_in_one_line(tmp_path, change, message
     assert "\n" not in str(caught.value)
 
 
+def test_a_point_far_from_the_way_is_refused(tmp_path):
+    run, path = bent_run(tmp_path), tmp_path / "marks.csv"
+    path.write_text("id,easting,northing,height,map_x,map_y,map_z\nA,637284.5,5762914.2,91.0,9000.0,0.0,0.0\n")
+    with pytest.raises(DataError, match="from the way of the run"):
+        read_control_points(path, run)
+
+
 def test_points_on_a_line_do_not_place_a_run(tmp_path):
     run, path = bent_run(tmp_path), table(tmp_path)
     rows = path.read_text().splitlines()

@@ -252,6 +252,13 @@ class GnssFactors(Stateful):
         )
 
     def _too_few(self, count: int) -> str:
+        usable = self.intake.usable
+        if count == 0 and len(usable) >= _FEWEST and len(self.track):
+            first, last = (int(self.intake.stamps_ns[usable[k]]) for k in (0, -1))
+            apart = (first - self.track.last_ns, last - self.track.first_ns)
+            if apart[0] > 0 or apart[1] < 0:
+                late = 0.5 * (first + last - self.track.first_ns - self.track.last_ns) * 1e-9
+                return f"none lies within the run: their clock shows about {late:+.0f} s more (gnss.clock_offset)"
         return f"{count} of {len(self.intake)} fixes can be used and lie within the run, {_FEWEST} are needed"
 
     def _why_not(self, judgement: Judgement, chain: OdometryChain) -> str:
