@@ -139,6 +139,7 @@ STOREYS: dict[str, dict[str, set[str]]] = {
         "loop_search": {"covariances", "descriptor_file", "loops", "places", "store"},
         "pose_factors": set(),
         "levelling": {"growing_rows"},
+        "plane_refinement": set(),
         "open_query": {"loop_search"},
         "inertial_factors": set(),
         "gnss": {"covariances"},

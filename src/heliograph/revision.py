@@ -33,11 +33,13 @@ from heliograph.slam.gnss import KeptFixes, kept_fixes
 from heliograph.slam.graph_files import write_graph_files
 from heliograph.slam.loops import Ledger, LedgerEntry
 from heliograph.slam.loops.ledger_file import read_ledger
+from heliograph.slam.plane_refinement import PlaneRefinement, StepsBetween, refine_planes
 
 __all__ = ["RunGraph", "kept_points", "open_run_graph", "sessions_of", "write_keyframe_map"]
 
 X = Symbol("X")
 _SCANS = "scans.csv"
+_REFINED_POINTS = 2_000_000  # of all keyframes that an adjustment over planes takes: more take memory, and tell little
 _IN_MAP = tuple(name for name in FILES if name != "odometry.tum")
 
 
@@ -118,7 +120,7 @@ class RunGraph:
             )
         return self.ledger.add_by_hand(evidence)
 
-    def resolve(self, *, beside: Mapping[str, str] | None = None) -> GraphAccount:
+    def resolve(self, *, beside: Mapping[str, str] | None = None, refine: bool = False) -> GraphAccount:
         """Solve the graph with the loops that stand, and write the run's files anew: all of them, or none.
 
         The map is put together from the keyframes' clouds, which are thinner than the run's own.
@@ -127,6 +129,9 @@ class RunGraph:
         ----------
         beside : mapping of str to str, optional
             Other files that are written with them: names and texts.
+        refine : bool
+            Whether the poses are then adjusted so that walls are thin, where they become so; ``run.json`` says what
+            came of it, below ``graph.refined``. The next solution begins without it.
 
         Raises
         ------
@@ -135,17 +140,21 @@ class RunGraph:
         """
         back_end = BackEnd.replayed(self.config, self.store, self.ledger, self.fixes)
         T_new = back_end.T_map_imu if back_end.moves else _levelled(self.facts, back_end.chain.T_odom_imu)
+        refined = self._refined(back_end, T_new) if refine else None
+        T_new = T_new if refined is None else refined.T_map_imu
         moved = FinalPoses(stamps_ns=back_end.chain.stamps_ns, T_odom_imu=self.T_map_imu, T_map_imu=T_new)
         with atomic_folder(self.folder) as folder:
             for name in _IN_MAP:
                 if (self.folder / name).is_file():
                     rewrite(self.folder / name, moved, folder / name)
-            account = back_end.account(files=write_graph_files(folder, back_end))
+            account = back_end.account(files=write_graph_files(folder, back_end, T_new if refined else None))
             facts = {
                 **self.facts,
                 "graph": graph_facts(account),
                 "map_points": write_keyframe_map(self.store, T_new, self.config.output, folder, self._kept),
             }
+            if refined is not None:
+                facts["graph"]["refined"] = _refined_facts(refined)
             if "wheels" in self.facts["graph"]:
                 facts["graph"]["wheels"] = self.facts["graph"]["wheels"]
             if "gnss" in self.facts["graph"]:
@@ -159,6 +168,23 @@ class RunGraph:
             for name, text in (beside or {}).items():
                 write_text(folder / name, text)
         return account
+
+    def _refined(self, back_end: BackEnd, T_map_imu: Array) -> PlaneRefinement:
+        loops = [entry.evidence for entry in self.ledger.accepted()]
+        K = len(self.store)
+        sizes = sum(len(self.store.points(index)) for index in range(K))
+        thin = 1 + sizes // _REFINED_POINTS
+        clouds = [
+            points[self._kept(points, index, T_map_imu[index])][::thin]
+            for index, points in ((index, self.store.points(index)) for index in range(K))
+        ]
+        covariances = [*back_end.chain.step_covariances[1:], *(loop.covariance for loop in loops)]
+        steps = StepsBetween(
+            first=np.array([*range(K - 1), *(loop.match for loop in loops)], dtype=np.int64),
+            second=np.array([*range(1, K), *(loop.query for loop in loops)], dtype=np.int64),
+            covariance=np.array(covariances).reshape(-1, 6, 6),
+        )
+        return refine_planes(clouds, T_map_imu, steps)
 
 
 def kept_points(edits: RunEdits, facts: Mapping[str, Any], points_imu: Points, index: int, T_map_imu: Array) -> Mask:
@@ -280,9 +306,24 @@ def _check_ledger(path: Path, ledger: Ledger, keyframes: int) -> None:
                                     f"{keyframes}; run the recording again")  # fmt: skip
 
 
+def _refined_facts(refined: PlaneRefinement) -> dict[str, Any]:
+    return {
+        "refined": refined.refined,
+        "reason": refined.reason,
+        "planes": refined.planes,
+        "thickness_before_m": refined.thickness_before,
+        "thickness_after_m": refined.thickness_after,
+        "moved_m": refined.moved,
+    }
+
+
 def _held(graph: Mapping[str, Any]) -> bool:
-    """Whether more than odometry and loops holds the keyframes: fixes, or wheels."""
-    return bool(graph.get("gnss", {}).get("aligned") or graph.get("wheels", {}).get("scale") is not None)
+    """Whether more than odometry and loops holds the keyframes: fixes, wheels, or an adjustment over planes."""
+    return bool(
+        graph.get("gnss", {}).get("aligned")
+        or graph.get("wheels", {}).get("scale") is not None
+        or graph.get("refined", {}).get("refined")
+    )
 
 
 def _gnss_facts(facts: Mapping[str, Any], back_end: BackEnd) -> dict[str, Any]:

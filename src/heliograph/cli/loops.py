@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph.cli import options
+from heliograph.errors import ConfigError
 
 if TYPE_CHECKING:
     from heliograph.revision import RunGraph
@@ -31,10 +32,14 @@ def loops(
         tuple[int, int] | None,
         typer.Option("--add", metavar="I J", help="Join keyframes I and J by hand, and solve again."),
     ] = None,
+    refine: Annotated[
+        str | None,
+        typer.Option("--refine", metavar="planes", help="Adjust all poses so that walls are thin, and solve again."),
+    ] = None,
     everything: Annotated[bool, typer.Option("--all", help="List rejected candidates too.")] = False,
     json: options.Json = False,
 ) -> None:
-    """List a run's loops; explain one; revoke or add one and solve the run's graph again in seconds.
+    """List a run's loops; explain one; revoke or add one and solve the run's graph again in seconds; make walls thin.
 
     A change rewrites trajectory, map, graph and loops.csv; odometry.tum stays.
     """
@@ -42,12 +47,16 @@ def loops(
     from heliograph.revision import open_run_graph
 
     graph = open_run_graph(run)
-    if revoke or add is not None:
+    if refine not in (None, "planes"):
+        raise ConfigError(f"no refinement '{refine}'; there is 'planes'")
+    if revoke or add is not None or refine:
         changed = [graph.revoke(number) for number in revoke or []]
         changed += [graph.add(*add)] if add is not None else []
-        account = graph.resolve()
+        account = graph.resolve(refine=refine is not None)
         for entry in changed:
             typer.echo(_line(graph, entry))
+        if refine:
+            typer.echo(_refined(graph.folder))
         typer.echo(f"{account.accepted} loops stand; trajectory, map and graph of {graph.folder} were written anew")
         if (graph.folder / ACCURACY).is_file():
             typer.echo(
@@ -62,6 +71,16 @@ def loops(
         typer.echo(jsonlib.dumps([_facts(graph, entry) for entry in graph.ledger]))
     else:
         typer.echo("\n".join(_listed(graph, everything=everything)))
+
+
+def _refined(folder: Path) -> str:
+    from heliograph.guard.account import read_account
+
+    r = read_account(folder)["graph"]["refined"]
+    walls = f"{1e3 * r['thickness_before_m']:.1f} to {1e3 * r['thickness_after_m']:.1f} mm over {r['planes']} planes"
+    if r["refined"]:
+        return f"walls are thinner: {walls}; a keyframe moved by up to {1e3 * r['moved_m']:.1f} mm"
+    return f"left as it was: {r['reason']} ({walls})"
 
 
 def _listed(graph: RunGraph, *, everything: bool) -> list[str]:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from heliograph.graph import Between, Covariance, FactorGraph, Values, pose_graph_of, save_graph, write_g2o
-from heliograph.lie import SE3, se3
+from heliograph.arrays import Array
+from heliograph.graph import Between, Covariance, FactorGraph, Symbol, Values, pose_graph_of, save_graph, write_g2o
+from heliograph.lie import SE3, ExtendedPose, se3
 from heliograph.slam.back_end import BackEnd
 from heliograph.slam.gnss import write_gnss_table
 from heliograph.slam.loops.ledger_file import write_ledger
@@ -17,8 +18,15 @@ __all__ = ["GRAPH_FILES", "write_graph_files"]
 GRAPH_FILES = ("loops.csv", "graph.g2o", "graph.npz")
 
 
-def write_graph_files(folder: Path, back_end: BackEnd) -> tuple[str, ...]:
+def write_graph_files(folder: Path, back_end: BackEnd, T_map_imu: Array | None = None) -> tuple[str, ...]:
     """Write the files of a back-end into a run's folder and return their names.
+
+    Parameters
+    ----------
+    folder : Path
+    back_end : BackEnd
+    T_map_imu : (K, 4, 4) float64, optional
+        The keyframes' poses that graph.npz holds, where they are not the back-end's.
 
     Raises
     ------
@@ -27,11 +35,34 @@ def write_graph_files(folder: Path, back_end: BackEnd) -> tuple[str, ...]:
     """
     write_ledger(folder / "loops.csv", back_end.ledger)
     write_g2o(folder / "graph.g2o", pose_graph_of(*_poses_and_steps(back_end)))
-    save_graph(folder / "graph.npz", *back_end.graph())
+    graph, values = back_end.graph()
+    save_graph(folder / "graph.npz", graph, values if T_map_imu is None else _with_poses(values, T_map_imu))
     account = back_end.account().gnss
     if account is not None:
         write_gnss_table(folder / "gnss.csv", account.fixes)
     return (*GRAPH_FILES, *(("gnss.csv",) if account is not None else ()), back_end.store.path.name)
+
+
+def _with_poses(values: Values, T_map_imu: Array) -> Values:
+    """Return values with other poses of the keyframes; velocities turn with their bodies."""
+    out, keys = Values(), Symbol("X")(np.arange(len(T_map_imu)))
+    poses = set(keys.tolist())
+    for key in values.keys().tolist():
+        if key not in poses:
+            out.insert(key, values.at(key))
+    before = values.at(keys)
+    if isinstance(before, ExtendedPose):
+        turn = T_map_imu[:, :3, :3] @ np.swapaxes(before.rotation, 1, 2)
+        velocity = np.einsum("kij,kj->ki", turn, before.velocity)
+        out.insert(
+            keys,
+            ExtendedPose.from_rotation_position_velocity(
+                T_map_imu[:, :3, :3].copy(), T_map_imu[:, :3, 3].copy(), velocity
+            ),
+        )
+    else:
+        out.insert(keys, SE3(np.ascontiguousarray(T_map_imu)))
+    return out
 
 
 def _poses_and_steps(back_end: BackEnd) -> tuple[FactorGraph, Values]:

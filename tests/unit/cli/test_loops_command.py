@@ -108,6 +108,22 @@ def test_loop_is_added_by_hand_and_taken_back(run, copy, call):
     np.testing.assert_allclose(poses(copy), before, atol=2e-3)
 
 
+@pytest.mark.slow
+def test_walls_are_made_thin_on_request_and_stay_so(walk, run, copy, call):
+    code, out, err = call("loops", copy, "--refine", "planes")
+    assert code == 0 and "planes" in out, err
+    facts = json.loads((copy / "run.json").read_text())["graph"]["refined"]
+    moved = np.abs(poses(copy) - poses(run)).max()
+    assert facts["refined"] == ("walls are thinner" in out) == (moved > 1e-4)
+    if facts["refined"]:
+        assert facts["thickness_after_m"] < facts["thickness_before_m"]
+    assert walk.error(poses(copy)) < 1.2 * walk.error(poses(run)) + 0.02
+    loop = json.loads(call("loops", copy, "--json")[1])[0]["number"]
+    assert call("loops", copy, "--revoke", loop)[0] == 0  # begins without it, from where the files are
+    assert "refined" not in json.loads((copy / "run.json").read_text())["graph"]
+    assert call("loops", copy, "--refine", "spheres")[0] == 2
+
+
 def test_files_of_a_changed_run_tell_the_same(copy, call):
     accepted = [e["number"] for e in json.loads(call("loops", copy, "--json")[1]) if e["verdict"] == "accepted"]
     code, _, err = call("loops", copy, *[word for number in accepted for word in ("--revoke", number)])
