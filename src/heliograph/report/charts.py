@@ -25,6 +25,7 @@ __all__ = [
 ]
 
 _EVEN_SHARE = 1.0 / 3.0  # each translation eigenvalue where all directions are observed alike
+_NAMES_APART = 130.0  # pixels, of the picture at its full width
 _MIN_SHOWN_SHARE = 1e-3
 _XYZ = ("x", "y", "z")
 VERDICT_WORDS = {
@@ -181,7 +182,10 @@ def trajectory(record: RunRecord, turned: bool) -> str:
     parts += equal_grid(x_axis, y_axis, ("−y [m]", "x [m]") if turned else ("x [m]", "y [m]"), height, bottom, left)
     parts += _colored_path(x_axis(across), y_axis(up), _observability(record.scans))
     parts += marker(float(x_axis(across[0])), float(y_axis(up[0])), "start")
-    parts += marker(float(x_axis(across[-1])), float(y_axis(up[-1])), "end")
+    ends = np.array([x_axis(across[[0, -1]]), y_axis(up[[0, -1]])])
+    end = marker(float(ends[0, 1]), float(ends[1, 1]), "end")
+    # Where a lap is closed, the two names would lie on each other: the ring says that it ends there.
+    parts += end if float(np.hypot(*(ends[:, 1] - ends[:, 0]))) > _NAMES_APART else end[:1]
     scale_bar = (
         f'<span class="ramp">unobservable<i style="background:{css_gradient(OBSERVABILITY)}"></i>well seen</span>'
     )

@@ -84,7 +84,8 @@ def comparison_page(
     return _document(
         "Runs side by side",
         f'<h1>Runs side by side</h1><div class="scroll"><table><thead><tr>{head}</tr></thead>'
-        f'<tbody>{table}</tbody></table></div><ul class="reasons">{said}</ul><div class="one">{ways(drawn) if drawn else ""}</div>'
+        f'<tbody>{table}</tbody></table></div><ul class="reasons">{said}</ul>'
+        f'<div class="one">{ways(drawn) if drawn else ""}</div>'
         f'<div class="two">{maps}</div>',
     )
 
