@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,11 +73,16 @@ _RUNS = {
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
 
-def _write(name: str, rows: list[dict[str, Any]]) -> None:
+def _write(name: str, rows: Iterable[dict[str, Any]]) -> None:
+    """Write rows as they come, so that one that fails costs none of those before it."""
     _RESULTS.mkdir(exist_ok=True)
-    (_RESULTS / f"{name}.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
-    for row in rows:
-        print(json.dumps(row))
+    partial = _RESULTS / f"{name}.partial"
+    with partial.open("w") as file:
+        for row in rows:
+            line = json.dumps(row)
+            print(line, file=file, flush=True)
+            print(line, flush=True)
+    partial.replace(_RESULTS / f"{name}.jsonl")
 
 
 def _parse() -> argparse.Namespace:
@@ -177,7 +182,7 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         _write("loops", loops.measure_loops(arguments.data.parent / "keyframes", seeds=seeds))
         _write("loop_misled", loop_misled.measure_misled(seeds))
     if "localization" in wanted:
-        _write("localization", list(localization_table.measure_localization(arguments.data.parent)))
+        _write("localization", localization_table.measure_localization(arguments.data.parent))
 
 
 def main() -> None:

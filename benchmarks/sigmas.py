@@ -181,7 +181,7 @@ def sigmas_section(rows: _Rows, table: Callable[[Sequence[str], Sequence[Any]], 
                 f"{100 * np.mean([r['inside'] for r in some]):.1f}",
                 sum(r["suspect"] for r in some),
                 sum(r["status"] == "ok" for r in some),
-                f"{100 * np.mean([r['blind_share'] for r in some]):.0f}",
+                f"{100 * np.mean([r.get('blind_share', np.nan) for r in some]):.0f}",
             ]
         )
     head = [

@@ -252,9 +252,10 @@ class Localizer:
 
 
 def decide(found: Sequence[MapPlace], config: LocalizationConfig) -> tuple[MapPlace, ...]:
-    """Return the places that may be the right one: the best that stands, and its rivals.
+    """Return the places that may be the right one: the best that stands, and its rivals, which need not stand.
 
-    A place that a match leaves free along a direction is a rival too: somewhere along it may be the right one.
+    A place that explains nearly as well and does not stand is a rival: what separates the two is less than what the
+    bars are sure to. So is one that a match leaves free along a direction: somewhere along it may be the right one.
 
     Parameters
     ----------
@@ -262,5 +263,5 @@ def decide(found: Sequence[MapPlace], config: LocalizationConfig) -> tuple[MapPl
         The best first.
     config : LocalizationConfig
     """
-    standing = [place for place in found if place.stands(config)]
-    return tuple(place for place in standing if place.score >= config.rival * standing[0].score)
+    best = next((place for place in found if place.stands(config)), None)
+    return () if best is None else tuple(place for place in found if place.score >= config.rival * best.score)

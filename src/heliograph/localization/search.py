@@ -23,6 +23,7 @@ from heliograph.slam.loops.tangent import near
 __all__ = ["MapPlace", "Query", "search", "weigh"]
 
 _THROUGH = 10.0  # a share of this one over of what should be seen, seen through, takes a score to 1/e
+_LEAST_SCORE = 0.8  # of what a place must explain
 _REACH = 0.5  # largest distance of a counterpart [m]
 _KERNEL = 0.1  # residual at which a match counts a quarter [m]
 _CELL = math.radians(2.0)  # of directions, in which a query has seen what is between its nearest and farthest return
@@ -101,9 +102,10 @@ class MapPlace:
         return self.explained * math.exp(-_THROUGH * self.seen_through)
 
     def stands(self, config: LocalizationConfig) -> bool:
-        """Whether the place, taken by itself, may be the right one."""
+        """Whether the place by itself may be the right one: the less it explains, the less may speak against it."""
         return (
-            self.explained >= config.min_explained
+            self.score >= _LEAST_SCORE * config.min_explained
+            and self.explained >= config.min_explained
             and self.confirmed >= config.min_confirmed
             and self.seen_through <= config.max_seen_through
         )

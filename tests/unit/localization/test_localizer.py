@@ -111,6 +111,22 @@ def test_decide_keeps_the_best_and_what_fits_nearly_as_well():
     assert decide([place(confirmed=0.1)], config) == ()
 
 
+def test_decide_takes_no_place_for_sure_beside_one_that_explains_nearly_as_well_and_misses_a_bar():
+    config = LocalizationConfig()
+    best, near_miss = place(0.35), place(0.34, confirmed=0.4)
+    assert decide([best, near_miss], config) == (best, near_miss)
+    above = place(0.6, confirmed=0.4)
+    assert decide([above, best], config) == (above, best)
+
+
+def test_place_that_explains_little_stands_only_where_little_speaks_against_it():
+    """Shelves of a warehouse in the map of a street: explained 0.32, confirmed 0.5, seen through 0.06."""
+    config = LocalizationConfig()
+    assert not place(0.318, confirmed=0.502, seen_through=0.059).stands(config)
+    assert place(0.318, confirmed=0.502, seen_through=0.01).stands(config)
+    assert place(0.6, confirmed=0.502, seen_through=0.059).stands(config)
+
+
 def test_standing_places_are_above_each_floor_and_no_shelf():
     x, y = (g.ravel() for g in np.meshgrid(np.arange(0.0, 12.0, 0.2), np.arange(0.0, 12.0, 0.2)))
     storeys = [np.column_stack([x, y, np.full(len(x), z)]) for z in (0.0, 3.0)]
