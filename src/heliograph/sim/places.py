@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from heliograph.lie import so3
+from heliograph.sim.movers import Mover
+from heliograph.sim.outdoors import forest_world, ground_course, ground_height, rough_world
 from heliograph.sim.revisits import campus_course, campus_world, city_course, city_world, storeys_course, storeys_world
 from heliograph.sim.trajectory import Course
 from heliograph.sim.world import Primitive, SimulatedWorld, Surface, box, cylinder, rectangle
@@ -39,10 +41,13 @@ class Place:
         What the LiDAR sees.
     course : Course
         Way of the IMU [m].
+    movers : tuple of Mover
+        What moves in it.
     """
 
     world: SimulatedWorld
     course: Course
+    movers: tuple[Mover, ...] = ()
 
 
 def _yaw(angle: float) -> NDArray[np.float64]:
@@ -255,6 +260,44 @@ def street(rng: np.random.Generator) -> Place:
     return Place(world=SimulatedWorld(primitives), course=Course(waypoints=waypoints, corner=60.0, closed=False))
 
 
+def traffic(rng: np.random.Generator) -> Place:
+    """Return the street with cars on both lanes, a lorry ahead and people on the pavements, and a way along it."""
+    movers = []
+    for k, x in enumerate(np.arange(-40.0, 200.0, 20.0)):  # both lanes, some of them faster than the sensor
+        lane, size = (-1.9, 1.9)[k % 2], rng.uniform((3.8, 1.7, 1.4), (5.2, 1.9, 2.0))
+        car = SimulatedWorld([_standing(0.0, 0.0, size, _PANEL), _standing(-0.3, 0.0, 0.8 * size, _PANEL, z=0.5)])
+        movers.append(_mover(car, (-60.0, lane), (230.0, lane), rng.uniform(4.0, 12.0), x + 60.0 + 290.0 * (k % 2)))
+    lorry = SimulatedWorld([_standing(0.0, 0.0, (9.0, 2.5, 3.4), _PANEL)])
+    movers.append(_mover(lorry, (-60.0, 0.0), (230.0, 0.0), 5.0, 74.0))
+    for side in (-1.0, 1.0):
+        for x in rng.uniform(-10.0, 120.0, 6):
+            person = SimulatedWorld([cylinder((0.0, 0.0, 0.85), 0.22, 1.7, None, _WOOD)])
+            y = side * rng.uniform(6.3, 7.5)
+            movers.append(_mover(person, (x - 15.0, y), (x + 15.0, y), rng.uniform(0.8, 1.6), rng.uniform(0.0, 60.0)))
+    waypoints = np.array([(0.0, 0.0, 1.7), (200.0, 0.0, 1.7)])
+    return Place(
+        world=street(rng).world,
+        course=Course(waypoints=waypoints, corner=1.0, closed=False),
+        movers=tuple(movers),
+    )
+
+
+def _mover(world: SimulatedWorld, a: tuple[float, float], b: tuple[float, float], speed: float, phase: float) -> Mover:
+    return Mover(world=world, a=np.array([*a, 0.0]), b=np.array([*b, 0.0]), speed=float(speed), phase=float(phase))
+
+
+def forest(rng: np.random.Generator) -> Place:
+    """Return a wood on uneven ground, with thin branches and bushes, and a loop in it."""
+    height = ground_height(rng, (12.0, 40.0), 0.25)
+    return Place(world=SimulatedWorld(forest_world(rng, height)), course=ground_course(height, eye=1.2))
+
+
+def rough(rng: np.random.Generator) -> Place:
+    """Return open ground of short waves strewn with stones, and a loop over it."""
+    height = ground_height(rng, (3.0, 14.0), 0.12)
+    return Place(world=SimulatedWorld(rough_world(rng, height)), course=ground_course(height, eye=0.9))
+
+
 def campus(rng: np.random.Generator) -> Place:
     """Return two blocks of houses and the streets around them; the street between them is walked twice."""
     return Place(world=SimulatedWorld(campus_world(rng)), course=campus_course())
@@ -332,6 +375,7 @@ PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingP
         "aisles": aisles,
         "campus": campus,
         "city": city,
+        "forest": forest,
         "level_room": level_room,
         "long_tunnel": long_tunnel,
         "bare_field": bare_field,
@@ -339,8 +383,10 @@ PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingP
         "level_street": level_street,
         "open_field": open_field,
         "room": room,
+        "rough": rough,
         "storeys": storeys,
         "street": street,
+        "traffic": traffic,
         "tunnel": tunnel,
         "warehouse": warehouse,
     }

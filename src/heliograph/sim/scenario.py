@@ -189,6 +189,20 @@ def _registry() -> dict[str, Scenario]:
         **{scenario.name: scenario for scenario in _surveys()},
         **{scenario.name: scenario for scenario in _weakly_seen()},
         "field": Scenario(name="field", place="open_field").thinned(beams=32, columns=512),
+        "traffic": Scenario(
+            name="traffic",
+            place="traffic",
+            walk=Walk(speed=6.0, rest=3.0, ramp=3.0),
+            gait=Gait(frequency=1.2, bounce=0.01, lateral=0.005, roll_deg=0.8, pitch_deg=0.8, yaw_deg=0.3),
+            lidar=LidarModel(beams=32, columns=512, max_range=80.0),
+        ),
+        "forest": Scenario(name="forest", place="forest", walk=Walk(rest=3.0)).thinned(beams=32, columns=512),
+        "rough": Scenario(
+            name="rough",
+            place="rough",
+            walk=Walk(speed=1.0, rest=3.0),
+            gait=Gait(frequency=1.4, bounce=0.03, lateral=0.02, roll_deg=6.0, pitch_deg=6.0, yaw_deg=4.0),
+        ).thinned(beams=32, columns=512),
         "bare-field": Scenario(name="bare-field", place="bare_field").thinned(beams=32, columns=512),
         "level-straight": Scenario(
             name="level-straight", place="level_street", walk=Walk(duration=38.0), imu=usual

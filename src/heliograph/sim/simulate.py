@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import freeze
 from heliograph.data import GnssFix, ImuBatch, ImuClock, ImuNoise, Rig, Scan
 from heliograph.lie import se3, so3
+from heliograph.sim.movers import cast_with_movers
 from heliograph.sim.places import PLACES
 from heliograph.sim.receiver import ReceiverLog
 from heliograph.sim.scenario import Mount, Scenario
@@ -175,7 +176,7 @@ class Simulation:
         place = PLACES[scenario.place](self._rng("world"))
         walk = scenario.walk
         path = WalkedPath(place.course, scenario.gait, rest=walk.rest, ramp=walk.ramp, speed=walk.speed)
-        self.world = place.world
+        self.world, self.movers = place.world, place.movers
         self.mounting = SimulatedMounting.draw(scenario.mount, self._rng("mount"))
         self.truth = Truth(path, self.mounting, walk.begin)
         whole = path.profile.stop + walk.after - walk.begin
@@ -234,9 +235,12 @@ class Simulation:
         offsets = lidar.column_offsets_ns
         for k in range(self.sweep_count()):
             stamp = EPOCH_NS + _LIDAR_PHASE_NS + k * lidar.period_ns
-            exact = self.world.cast(
+            exact = cast_with_movers(
+                self.world,
+                self.movers,
                 directions,
                 self.truth.lidar_pose(stamp + offsets),
+                np.asarray((stamp - EPOCH_NS + offsets) * 1e-9, dtype=np.float64),
                 min_range=lidar.min_range,
                 max_range=lidar.max_range,
                 threads=self._threads,
