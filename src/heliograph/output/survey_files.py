@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["ACCURACY", "remove_survey"]
+__all__ = ["ACCURACY", "remove_survey", "replaced_files"]
 
 ACCURACY = "accuracy.json"
 _NAMES = re.compile(
@@ -17,13 +18,41 @@ _NAMES = re.compile(
 
 def remove_survey(folder: Path) -> None:
     """Remove what ``accuracy.json`` lists, and itself: another run is to stand there. What it does not list stays."""
+    ours = _listed(folder)
+    if ours is not None:
+        _remove(folder, [*ours, ACCURACY])
+
+
+def replaced_files(folder: Path, stem: str, names: Sequence[str]) -> list[str]:
+    """Remove an earlier survey's map in the same system, and return what else of earlier ones is there.
+
+    Parameters
+    ----------
+    folder : Path
+        The run's.
+    stem : str
+        What names of the map in this system begin with.
+    names : sequence of str
+        Files that have just been written: they stay.
+    """
+    earlier = [name for name in _listed(folder) or () if name not in names and (folder / name).exists()]
+    stale = [name for name in earlier if re.match(rf"{re.escape(stem)}[./]", name)]
+    _remove(folder, stale)
+    return [name for name in earlier if name not in stale]
+
+
+def _listed(folder: Path) -> list[str] | None:
+    """Return the files that ``accuracy.json`` lists and that can be a survey's; None without one."""
     try:
         files = json.loads((folder / ACCURACY).read_text(encoding="utf-8"))["files"]
-        ours = [name for name in files if _NAMES.fullmatch(name)]
+        return [name for name in files if _NAMES.fullmatch(name)]
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return
-    for name in (*ours, ACCURACY):
+        return None
+
+
+def _remove(folder: Path, names: Sequence[str]) -> None:
+    for name in names:
         (folder / name).unlink(missing_ok=True)
-    for name in {Path(name).parent for name in ours} - {Path()}:
+    for emptied in {Path(name).parent for name in names} - {Path()}:
         with suppress(OSError):  # what is not ours stays, and its folder
-            (folder / name).rmdir()
+            (folder / emptied).rmdir()

@@ -20,7 +20,7 @@ from heliograph.errors import ConfigError, DataError, FormatError
 from heliograph.io.files.clouds import read_cloud
 from heliograph.io.files.poses import read_poses
 from heliograph.lie import se3
-from heliograph.output.survey_files import ACCURACY
+from heliograph.output.survey_files import ACCURACY, replaced_files
 from heliograph.revision import kept_points, write_keyframe_map
 from heliograph.slam import KEYFRAMES, KeyframeStore
 from heliograph.survey.coordinates import CoordinateSystem, find_coordinate_system
@@ -86,7 +86,8 @@ def deliver(
         finally:
             store.close()
     names = [str(path.relative_to(run.folder)) for path in files]
-    said = {**accuracy(run, system, track, control), "files": names}
+    earlier = replaced_files(run.folder, f"map_{system.tag}", names)
+    said = {**accuracy(run, system, track, control), "files": [*names, *earlier]}
     write_text(run.folder / ACCURACY, json.dumps(said, indent=2) + "\n")
     return [*files, run.folder / ACCURACY]
 

@@ -135,9 +135,19 @@ def test_what_is_delivered_is_the_solved_run(tmp_path):
     truth = se3.act(true_way(), beside.astype(np.float64)).reshape(-1, 3)[HELD]
     assert np.linalg.norm(points[None] - truth[:, None], axis=-1).min(axis=1).max() < 0.12
     assert len(read_poses(tmp_path / "trajectory.tum", stamped=True).stamps_ns) == K
+    deliver(solved, "EPSG:25832", None, tile=50.0)  # in place of the one file, which would be of before
+    assert not (tmp_path / f"map_{SYSTEM.tag}.laz").exists()
+    assert (tmp_path / f"map_{SYSTEM.tag}" / "index.json").is_file()
+    deliver(solved, "local", None)  # another system stands beside it, and goes with the run too
+    with pytest.raises(ConfigError, match="no edge of a tile"):
+        deliver(solved, "local", None, tile=0.5)
     (tmp_path / "map_mine.laz").write_text("")
     remove_survey(tmp_path)  # as a run that replaces this one does
-    assert not [path for path in tmp_path.iterdir() if SYSTEM.tag in path.name or path.suffix in (".gpx", ".kml")]
+    assert not [
+        path
+        for path in tmp_path.iterdir()
+        if SYSTEM.tag in path.name or path.suffix in (".gpx", ".kml", ".sbet", ".smrmsg")
+    ]
     assert (tmp_path / "map_mine.laz").exists()
 
 
