@@ -6,9 +6,9 @@ STAMP := $(VENV)/.installed
 BUILD_TOOLS := "scikit-build-core>=1.1" "nanobind>=3.1,<4" "cmeel-eigen>=3.4,<4" "cmake>=3.20" ninja
 NATIVE := $(shell find cpp CMakeLists.txt pyproject.toml -type f)
 
-.PHONY: help env build demo test test-slow lint types rooms mutants sanitize fuzz bench docs clean
+.PHONY: help env build demo test test-slow lint types rooms mutants sanitize fuzz bench docs page clean
 help:
-	@echo "make demo | test | test-slow | lint | types | rooms | mutants | sanitize | fuzz | bench | docs | clean"
+	@echo "make demo | test | test-slow | lint | types | rooms | mutants | sanitize | fuzz | bench | docs | page | clean"
 
 $(VENV)/.tools:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "Heliograph needs Python 3.10 or newer; set PYTHON=")'
@@ -62,6 +62,17 @@ docs: $(STAMP)
 	$(BIN)/python -m pip install -q --disable-pip-version-check "mkdocs-material>=9.5" "mkdocstrings[python]>=0.26"
 	$(BIN)/python docs/site/stage.py build/site/pages
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build -q --strict -f build/site/mkdocs.yml
+
+# The pages' scripts, linted and type-checked; needs npm, and only this does.
+PAGE := build/page
+page:
+	mkdir -p $(PAGE)/src
+	cp .ci/page/package.json .ci/page/eslint.config.mjs $(PAGE)/
+	cp src/heliograph/lab/page/*.js src/heliograph/report/*.js $(PAGE)/src/
+	cd $(PAGE) && npm install --silent --no-audit --no-fund
+	cd $(PAGE) && node_modules/.bin/eslint src
+	cd $(PAGE) && node_modules/.bin/tsc --noEmit --allowJs --checkJs --strict --target es2022 --module es2022 \
+	  --moduleResolution bundler --lib es2022,dom,dom.iterable src/lab.js src/charts.js
 
 # Rivals pin what Heliograph does not, so they live in an environment of their own.
 RIVALS := build/bench-venv
