@@ -16,6 +16,7 @@ from benchmarks import (
     graph,
     graph_incremental,
     graph_scale,
+    healthy,
     imu,
     imu_gnss,
     kd_tree,
@@ -55,6 +56,7 @@ _ALL = (
     "localization",
     "sigmas",
     "match-scores",
+    "healthy",
 )
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio", "localization")
 _RUNS = {
@@ -69,6 +71,7 @@ _RUNS = {
     "loops": 3,
     "sigmas": 20,
     "match-scores": 2,
+    "healthy": 20,
 }
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
@@ -208,6 +211,9 @@ def main() -> None:
     if "start" in wanted:
         names, seeds = list(start.START_CASES), arguments.runs or _RUNS["start"]
         _write("start", start.compare_starts(arguments.work, ours / "heliograph", names=names, runs=seeds))
+    if "healthy" in wanted:
+        seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["healthy"]))
+        _write("healthy", list(healthy.measure_healthy(seeds)))
     rival = arguments.rival_bin / "python"
     if "imu" in wanted:
         _write("imu", imu.measure(arguments.work, rival, runs=arguments.runs or _RUNS["imu"]))

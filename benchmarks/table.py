@@ -13,6 +13,7 @@ from benchmarks.calibrate import calibration_section
 from benchmarks.global_alignment import global_section
 from benchmarks.gnss import georeference_section
 from benchmarks.graph_table import graph_section, graph_summary, scale_section
+from benchmarks.healthy import healthy_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.kd_tree import kd_tree_section
@@ -53,6 +54,7 @@ _OTHER_SECTIONS = {
     "sigmas": sigmas_section,
     "georeference": georeference_section,
     "wheels": wheels_section,
+    "healthy": healthy_section,
 }
 
 

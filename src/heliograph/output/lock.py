@@ -35,10 +35,33 @@ class FolderLock:
         self._file: int | None = None
         if fcntl is None:  # pragma: no cover - Windows
             return
+        while self._file is None:
+            try:
+                file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
+            except OSError:  # a file system without it: the run's own files will tell what is wrong
+                return
+            if not self._taken(file, folder):
+                return
+            if self._is_there(file):
+                self._file = file
+            else:  # released and removed by its holder in between: the next one would make another
+                os.close(file)
         try:
-            file = os.open(self._path, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError:  # a file system without it: the run's own files will tell what is wrong
+            os.ftruncate(self._file, 0)
+            os.pwrite(self._file, f"{os.getpid()}\n".encode(), 0)
+        except OSError:  # a full disk; the lock holds without the number
             return
+
+    def _is_there(self, file: int) -> bool:
+        """Whether an open file is the one that the path names."""
+        try:
+            return os.path.samestat(os.fstat(file), self._path.stat())
+        except FileNotFoundError:
+            return False
+
+    @staticmethod
+    def _taken(file: int, folder: Path) -> bool:
+        """Lock a file; False where its file system cannot, and the file is closed then."""
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -50,13 +73,8 @@ class FolderLock:
             ) from None
         except OSError:  # a network file system that cannot lock
             os.close(file)
-            return
-        self._file = file
-        try:
-            os.ftruncate(file, 0)
-            os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
-        except OSError:  # a full disk; the lock holds without the number
-            return
+            return False
+        return True
 
     def release(self) -> None:
         """Free the folder; a second call does nothing."""

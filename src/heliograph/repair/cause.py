@@ -16,10 +16,10 @@ from heliograph.data import Trajectory
 
 __all__ = ["likely_cause"]
 
-_WINDOW_S = 4.0  # over which an offset of the clocks is taken for constant [s]
+_WINDOW_S = 3.0  # over which an offset of the clocks is taken for constant [s]
 _MIN_WINDOWS = 3
 _MARGIN_NS = 600_000_000  # of samples around a window [ns]
-_OFFSET_NOISE = 1e-3  # of one window's offset, at least [s]
+_OFFSET_NOISE = 5e-4  # of one window's offset, at least [s]
 _SIGMAS = 5.0  # of a change that is no chance
 _LEAST_CHANGE, _LEAST_STEP = 0.004, 0.04  # of the offset over all windows, and of one that is a step [s]
 
