@@ -188,6 +188,13 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         _write("localization", localization_table.measure_localization(arguments.data.parent))
 
 
+def _healthy(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
+    """Run the benchmark of what the checks say of sound recordings."""
+    if "healthy" in wanted:
+        seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["healthy"]))
+        _write("healthy", list(healthy.measure_healthy(seeds)))
+
+
 def main() -> None:
     """Run what the command line asks for and write the table."""
     arguments = _parse()
@@ -211,9 +218,7 @@ def main() -> None:
     if "start" in wanted:
         names, seeds = list(start.START_CASES), arguments.runs or _RUNS["start"]
         _write("start", start.compare_starts(arguments.work, ours / "heliograph", names=names, runs=seeds))
-    if "healthy" in wanted:
-        seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["healthy"]))
-        _write("healthy", list(healthy.measure_healthy(seeds)))
+    _healthy(arguments, wanted)
     rival = arguments.rival_bin / "python"
     if "imu" in wanted:
         _write("imu", imu.measure(arguments.work, rival, runs=arguments.runs or _RUNS["imu"]))
