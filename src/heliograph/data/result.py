@@ -76,7 +76,8 @@ class ScanResult:
         In [0, 1] for translation.
     weak_share : float
         Share of what the scan says about the least seen direction of its pose that is more than noise of the normals
-        can feign, in [0, 1]; 0 where it does not see it, which makes the scan ``"degenerate"``.
+        can feign, in [0, 1], with the scans before where it alone is not sure; 0 where it does not see it, which makes
+        the scan ``"degenerate"``.
     weak_direction : (3,) float64
         Unit vector along the least observed translation, odom frame.
     lidar_information : (6, 6) float64
