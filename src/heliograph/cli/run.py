@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,7 +31,7 @@ _GENERIC_NAMES = ("recording", "bag", "data", "rosbag2")  # say nothing without 
 def run(
     recordings: options.Recordings,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_heliograph.")
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_heliograph, or _2 ...")
     ] = None,
     overwrite: options.Overwrite = False,
     resume: Annotated[
@@ -112,6 +113,7 @@ def run(
         check_coordinate_system(crs)
     if resume and overwrite:
         raise typer.BadParameter("--resume goes on with a run, --overwrite begins it anew: give one of them")
+    output = unused(recordings, output, again=resume or overwrite)
     if resume and (facts := finished_run(destination(recordings, output))) is not None:
         print_closing(facts, destination(recordings, output), json=json, quiet=quiet)
         return
@@ -186,8 +188,32 @@ def execute(
 
 
 def destination(recordings: list[Path], output: Path | None) -> Path:
-    """Return the folder that a run writes."""
-    return output or Path(f"{recordings[0].resolve().stem}_heliograph")
+    """Return the folder that a run writes: the one given, or one named after the recording."""
+    path = recordings[0].resolve()
+    return output or Path(f"{path.parent.name if path.stem in _GENERIC_NAMES else path.stem}_heliograph")
+
+
+def unused(recordings: list[Path], output: Path | None, *, again: bool) -> Path:
+    """Return the folder that a run writes; without a name given, one that no earlier run has: with a number behind it.
+
+    Parameters
+    ----------
+    recordings : list of Path
+    output : Path or None
+        As given.
+    again : bool
+        The run goes on with, or replaces, the last one of that name.
+    """
+    first = destination(recordings, output)
+    if output is not None:
+        return first
+    names = chain([first], (first.with_name(f"{first.name}_{number}") for number in count(2)))
+    last = first
+    for name in names:
+        if not name.is_dir() or not any(name.iterdir()):
+            return last if again else name
+        last = name
+    return last
 
 
 def _folder(

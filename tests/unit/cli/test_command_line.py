@@ -15,6 +15,7 @@ import pytest
 from heliograph.cli import progress
 from heliograph.cli.help import EXAMPLES
 from heliograph.cli.interrupt import interruptible
+from heliograph.cli.run import unused
 from heliograph.config_toml import load_config
 from heliograph.io.files.clouds import read_cloud
 from heliograph.io.files.tum import read_tum
@@ -349,3 +350,16 @@ def test_an_instruction_set_that_is_not_there_is_named(isa):
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert f"HELIOGRAPH_ISA is '{isa}'; there are baseline and avx2" in done.stderr
+
+
+def test_default_folders_do_not_collide(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    generic = [Path("monday/recording.mcap")]
+    assert unused(generic, None, again=False) == Path("monday_heliograph")
+    for name in ("monday_heliograph", "monday_heliograph_2"):
+        Path(name).mkdir()
+        assert unused(generic, None, again=False) == Path(name), "an empty folder is nobody's"
+        Path(name, "run.json").touch()
+    assert unused(generic, None, again=False) == Path("monday_heliograph_3")
+    assert unused(generic, None, again=True) == Path("monday_heliograph_2"), "--resume and --overwrite mean the last"
+    assert unused(generic, Path("monday_heliograph"), again=False) == Path("monday_heliograph"), "a name that is given"
