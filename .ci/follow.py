@@ -1,9 +1,10 @@
-"""Follow README and documents word for word: every `heliograph` line of their shell blocks, as typed, and what came of it.
+"""Follow README and documents word for word: every `heliograph` line of their shell blocks, as typed.
 
     python .ci/follow.py HELIOGRAPH [DOCUMENT ...]
 
-HELIOGRAPH is the program of a fresh environment. The files that the documents speak of (drive.bag, truth.tum, OUT ...) are made
-once from a short simulated recording. It prints a table document x section x command x outcome, and fails if a line fails.
+HELIOGRAPH is the program of a fresh environment. The files that the documents speak of (drive.bag, truth.tum, OUT ...)
+are made once from a short simulated recording. It prints a table document x section x command x outcome, and fails if
+a line fails.
 """
 
 from __future__ import annotations
