@@ -22,6 +22,7 @@ from benchmarks import (
     kd_tree,
     kitti,
     lio,
+    live,
     loam,
     localization_table,
     loop_misled,
@@ -34,17 +35,18 @@ from benchmarks import (
     start,
     table,
 )
-from benchmarks.rivals import ADAPTERS
+from benchmarks.rivals import ADAPTERS, Adapter
 
 _ROOT = Path(__file__).resolve().parent.parent
 _RESULTS = _ROOT / "benchmarks" / "results"
 _GRAPHS = ("graph", "graph-scale", "graph-incremental", "graph-incremental-scale", "graph-outliers")
-_LOAM = ("walk", "shake", "warehouse", "kitti_0005")
+_LOAM = ("walk", "shake", "warehouse", "kitti_0005", "traffic", "forest", "rough")
 _CLOUDS = ("registration", "global", "blind", "kd-tree", "loam")
 _ALL = (
     "kitti",
     "sharpness",
     "speed",
+    "live",
     "start",
     *_GRAPHS,
     "imu",
@@ -195,6 +197,24 @@ def _healthy(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         _write("healthy", list(healthy.measure_healthy(seeds)))
 
 
+def _timings(
+    arguments: argparse.Namespace, wanted: Sequence[str], systems: Sequence[Adapter], bins: dict[str, Path]
+) -> None:
+    """Time the whole command beside its rivals, and a live stream, on one simulated recording."""
+    if not {"speed", "live"} & set(wanted):
+        return
+    folder = arguments.simulated or speed.simulated(
+        arguments.work / f"warehouse_{arguments.seconds:g}",
+        bins["heliograph"] / "heliograph",
+        seconds=arguments.seconds,
+        seed=1,
+    )
+    if "speed" in wanted:
+        _write("speed", speed.alternate(folder, systems, arguments.work, bins, runs=arguments.runs or _RUNS["speed"]))
+    if "live" in wanted:
+        _write("live", live.measure_latency(folder, threads=2))
+
+
 def main() -> None:
     """Run what the command line asks for and write the table."""
     arguments = _parse()
@@ -210,11 +230,7 @@ def main() -> None:
         _write("kitti", kitti.compare(arguments.data, chosen, arguments.work, bins))
     if "sharpness" in wanted:
         _write("sharpness", kitti.sharpness(arguments.data, ADAPTERS["heliograph"], arguments.work, bins))
-    if "speed" in wanted:
-        folder = arguments.simulated or speed.simulated(
-            arguments.work / f"warehouse_{arguments.seconds:g}", ours / "heliograph", seconds=arguments.seconds, seed=1
-        )
-        _write("speed", speed.alternate(folder, timed, arguments.work, bins, runs=arguments.runs or _RUNS["speed"]))
+    _timings(arguments, wanted, timed, bins)
     if "start" in wanted:
         names, seeds = list(start.START_CASES), arguments.runs or _RUNS["start"]
         _write("start", start.compare_starts(arguments.work, ours / "heliograph", names=names, runs=seeds))

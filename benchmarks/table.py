@@ -17,6 +17,7 @@ from benchmarks.healthy import healthy_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.kd_tree import kd_tree_section
+from benchmarks.live import live_section
 from benchmarks.loam import loam_section
 from benchmarks.localization_table import localization_section
 from benchmarks.loop_misled import misled_section
@@ -25,6 +26,7 @@ from benchmarks.match_scores import scores_section
 from benchmarks.outliers import outliers_section
 from benchmarks.registration import registration_section
 from benchmarks.sigmas import sigmas_section
+from benchmarks.speed import busy_section
 from benchmarks.start import start_section
 from benchmarks.wheels import wheels_section
 
@@ -32,6 +34,7 @@ __all__ = ["write_readme", "write_table"]
 
 _Rows = list[dict[str, Any]]
 _OTHER_SECTIONS = {
+    "speed_busy": busy_section,
     "start": start_section,
     "graph": graph_section,
     "graph_scale": scale_section,
@@ -42,6 +45,7 @@ _OTHER_SECTIONS = {
     "imu_gnss": gnss_section,
     "lio": lio_section,
     "loam": loam_section,
+    "live": live_section,
     "calibrate": calibration_section,
     "registration": registration_section,
     "global_alignment": global_section,
