@@ -116,14 +116,13 @@ def seen_covariance(before: Keyframe, keyframe: Keyframe) -> Array:
 
     To what the step may have drifted comes what each of the two scans left open against the map. In a direction that
     one of them did not see the step is as good as free: what the odometry knew there it had from the IMU, whose own
-    factor must not be counted again.
+    factor must not be counted again. The first scan was matched with nothing: it is the map, and leaves nothing open.
     """
+    covariance = keyframe.step_covariance + _left_open(keyframe.lidar_information)
+    if before.index == 0 and not before.lidar_information.any():
+        return np.asarray(covariance)
     carry = se3.adjoint(se3.inverse(keyframe.T_odom_imu) @ before.T_odom_imu)
-    return np.asarray(
-        keyframe.step_covariance
-        + _left_open(keyframe.lidar_information)
-        + carry @ _left_open(before.lidar_information) @ carry.T
-    )
+    return np.asarray(covariance + carry @ _left_open(before.lidar_information) @ carry.T)
 
 
 def _left_open(information: Array) -> Array:

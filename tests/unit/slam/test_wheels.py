@@ -10,6 +10,7 @@ from heliograph.data import ImuBatch, Keyframe, WheelSpeeds
 from heliograph.errors import FormatError
 from heliograph.io.files.wheels import read_wheel_speeds
 from heliograph.slam import BackEnd, KeyframeStore
+from heliograph.slam.inertial_factors import seen_covariance
 
 SPEED, RATE, STEP_NS, SEEN = 3.0, 200, 400_000_000, 12
 
@@ -120,3 +121,11 @@ def test_wheel_files_that_cannot_be_are_refused_in_one_line(tmp_path, text, mess
     with pytest.raises(FormatError, match=message) as caught:
         read_wheel_speeds(path)
     assert "\n" not in str(caught.value)
+
+
+def test_the_first_scan_is_the_map_and_leaves_no_step_open(rng):
+    first, second, third = keyframes(rng, 3)
+    first = replace(first, lidar_information=np.zeros((6, 6)))
+    assert np.sqrt(np.diag(seen_covariance(first, second))).max() < 0.01
+    broken = replace(second, lidar_information=np.zeros((6, 6)))  # a later one that nothing was matched with
+    assert np.sqrt(np.diag(seen_covariance(broken, third))).max() > 10.0
