@@ -82,7 +82,7 @@ def prepared(program: str, folder: Path) -> None:
 
 def main() -> int:
     """Follow them all."""
-    program, chosen = sys.argv[1], sys.argv[2:] or DOCUMENTS
+    program, chosen = str(Path(sys.argv[1]).absolute()), sys.argv[2:] or DOCUMENTS
     failed = 0
     with tempfile.TemporaryDirectory() as work:
         prepared(program, Path(work))

@@ -30,7 +30,7 @@ def evaluation_page(pair: Association, result: Evaluation, lines: Sequence[str])
     pair : Association
         Estimate and reference at common stamps.
     result : Evaluation
-        Of that pair.
+        What was found of that pair.
     lines : sequence of str
         The evaluation in words.
     """
@@ -57,7 +57,7 @@ def comparison_page(
     Parameters
     ----------
     names : sequence of str
-        Of the runs.
+        The runs' names.
     rows : sequence of (str, sequence of str)
         What is compared, and a cell for each run.
     folders : sequence of Path
