@@ -1,7 +1,10 @@
 """`heliograph run --resume`: a run that was cut off ends with the bits of one that was not; what cannot, says so."""
 
 import csv
+import errno
+import io
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -101,6 +104,32 @@ def test_run_that_was_interrupted_goes_on_although_its_files_were_finished(place
     assert told["interrupted"] and (place / "ended" / "map.ply").is_file()
     assert main(run_of(place, "ended", "--resume")) == 0
     assert_same_run(place / "whole", place / "ended")
+
+
+@pytest.mark.slow
+def test_disk_that_fills_during_a_checkpoint_is_one_line_and_leaves_what_there_was(place, monkeypatch, capsys):
+    """What was mapped is finished in the room that the checkpoint gives up; with room again the run begins anew."""
+    name, savez, written = "full", np.savez, []
+
+    def filling(file, **arrays):
+        if not isinstance(file, io.BytesIO):  # a checkpoint, and not a keyframe on its way
+            written.append(file)
+            if len(written) == 3:
+                file.write(b"as much as there was room for")
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        savez(file, **arrays)
+
+    monkeypatch.setattr("heliograph.snapshots.np.savez", filling)
+    monkeypatch.setattr(Checkpoints, "_not_before", property(lambda _: 0.0, lambda *_: None), raising=False)
+    assert main(run_of(place, name)) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(said) == 1 and "the disk is full" in said[0]
+    monkeypatch.undo()
+    told = json.loads((place / name / "run.json").read_text())
+    assert told["status"] == "incomplete" and "disk is full" in told["failure"] and (place / name / "map.ply").is_file()
+    assert main(run_of(place, name, "--resume")) == 0
+    assert "begins anew" in capsys.readouterr().err
+    assert_same_run(place / "whole", place / name, resumed=False)
 
 
 def test_finished_run_has_nothing_to_resume(place, capsys):
