@@ -25,6 +25,7 @@ from benchmarks.loops import loops_section
 from benchmarks.match_scores import scores_section
 from benchmarks.outliers import outliers_section
 from benchmarks.registration import registration_section
+from benchmarks.side_by_side import side_by_side_section
 from benchmarks.sigmas import sigmas_section
 from benchmarks.speed import busy_section
 from benchmarks.start import start_section
@@ -53,6 +54,7 @@ _OTHER_SECTIONS = {
     "kd_tree": kd_tree_section,
     "loops": loops_section,
     "loop_misled": misled_section,
+    "side_by_side": side_by_side_section,
     "localization": localization_section,
     "match_scores": scores_section,
     "sigmas": sigmas_section,
