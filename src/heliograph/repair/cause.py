@@ -14,13 +14,14 @@ from heliograph.checks.records import CheckedMotion, ImuRecord
 from heliograph.checks.units import check_accel_unit, check_gyro_unit
 from heliograph.data import Trajectory
 
-__all__ = ["likely_cause"]
+__all__ = ["clock_step", "likely_cause"]
 
 _WINDOW_S = 3.0  # over which an offset of the clocks is taken for constant [s]
 _MIN_WINDOWS = 3
 _MARGIN_NS = 600_000_000  # of samples around a window [ns]
 _OFFSET_NOISE = 5e-4  # of one window's offset, at least [s]
 _SIGMAS = 5.0  # of a change that is no chance
+_CORRELATION, _REACH = 0.97, 0.45  # of one window's offset that counts: least, and farthest from the whole's [s]
 _LEAST_CHANGE, _LEAST_STEP = 0.004, 0.04  # of the offset over all windows, and of one that is a step [s]
 
 
@@ -35,34 +36,52 @@ def likely_cause(evidence: Evidence) -> str:
     checks = (check_accel_unit, check_gyro_unit, check_gyro_axes, check_accel_axes, check_mounting)
     findings = [check(evidence) for check in checks]
     told = [f"{f.evidence} - {f.remedy}" for f in findings if f.verdict == "fail"]
-    told += [sentence] if (sentence := _clock(evidence)) else []
+    told += [sentence] if (sentence := clock_step(evidence) or _clock_drift(evidence)) else []
     told += [f"{f.evidence} - {f.remedy}" for f in findings if f.verdict == "warn" and f.code == "gyro-unit"]
     return f"the IMU contradicts the LiDAR: {told[0]}" if told else ""
 
 
-def _clock(evidence: Evidence) -> str:
-    """Return how the offset between the clocks changes; empty where it does not."""
+def clock_step(evidence: Evidence) -> str:
+    """Return when and by how much one clock was set against the other, with what helps; empty where none was.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        As for `likely_cause`.
+    """
     at, offsets, sigmas = _offsets(evidence)
     if len(at) < _MIN_WINDOWS:
         return ""
-    line, line_misfit, line_sigma = _fitted(np.stack([np.ones(len(at)), at - at.mean()], axis=1), offsets, sigmas)
+    _, line_misfit, _ = _fitted(_line(at), offsets, sigmas)
     steps = [
         (*_fitted(np.stack([np.ones(len(at)), (np.arange(len(at)) >= k).astype(float)], axis=1), offsets, sigmas), k)
         for k in range(1, len(at))
     ]
-    step, misfit, step_sigma, k = min(steps, key=lambda found: found[1])
-    if abs(step[1]) > max(_LEAST_STEP, _SIGMAS * step_sigma) and misfit < line_misfit:
-        return (
-            f"the clock between LiDAR and IMU steps by {step[1]:+.3f} s about {at[k]:.0f} s after the start - keep NTP "
-            "and PTP from stepping a sensor's clock while recording"
-        )
-    change = line[1] * (at[-1] - at[0])
-    if abs(change) > _LEAST_CHANGE and abs(line[1]) > _SIGMAS * line_sigma:
-        return (
-            f"the IMU's clock runs away from the LiDAR's by {1e3 * line[1]:+.2f} ms a second (+- "
-            f"{1e3 * line_sigma:.2f}) - stamp both by one clock; `heliograph calibrate` measures offset and drift"
-        )
-    return ""
+    step, misfit, sigma, k = min(steps, key=lambda found: found[1])
+    if abs(step[1]) <= max(_LEAST_STEP, _SIGMAS * sigma) or misfit >= line_misfit:
+        return ""
+    return (
+        f"the clock between LiDAR and IMU steps by {step[1]:+.3f} s about {at[k]:.0f} s after the start - keep NTP "
+        "and PTP from stepping a sensor's clock while recording"
+    )
+
+
+def _clock_drift(evidence: Evidence) -> str:
+    """Return how the offset between the clocks grows; empty where it does not."""
+    at, offsets, sigmas = _offsets(evidence)
+    if len(at) < _MIN_WINDOWS:
+        return ""
+    line, _, sigma = _fitted(_line(at), offsets, sigmas)
+    if abs(line[1] * (at[-1] - at[0])) <= _LEAST_CHANGE or abs(line[1]) <= _SIGMAS * sigma:
+        return ""
+    return (
+        f"the IMU's clock runs away from the LiDAR's by {1e3 * line[1]:+.2f} ms a second (+- {1e3 * sigma:.2f}) - "
+        "stamp both by one clock; `heliograph calibrate` measures offset and drift"
+    )
+
+
+def _line(at: Array) -> Array:
+    return np.stack([np.ones(len(at)), at - at.mean()], axis=1)
 
 
 def _offsets(evidence: Evidence) -> tuple[Array, Array, Array]:
@@ -71,6 +90,8 @@ def _offsets(evidence: Evidence) -> tuple[Array, Array, Array]:
     if motion is None:
         return np.zeros(0), np.zeros(0), np.zeros(0)
     stamps = motion.trajectory.stamps_ns
+    constant = evidence.offset
+    lag_ns = round(1e9 * constant.seconds) if constant is not None and constant.determined else 0
     seconds = (stamps - stamps[0]) * 1e-9
     found = []
     for begin in np.arange(0.0, min(float(seconds[-1]), 100.0), _WINDOW_S):
@@ -78,9 +99,12 @@ def _offsets(evidence: Evidence) -> tuple[Array, Array, Array]:
         if len(inside) < 2:
             continue
         # The samples around it alone: of all of them only the longest stretch without a step would be compared.
-        imu = _around(evidence.imu, int(stamps[inside[0]]), int(stamps[inside[-1]]))
+        imu = _around(evidence.imu, int(stamps[inside[0]]) + lag_ns, int(stamps[inside[-1]]) + lag_ns)
         offset = gather(imu, _part(motion, inside), config=evidence.config).offset
-        if offset is not None and offset.determined and np.isfinite(offset.sigma):
+        if offset is None or not offset.determined or not np.isfinite(offset.sigma):
+            continue
+        # A gait fits itself a step later as well, but not so well; and farther off lies nothing to be believed.
+        if offset.correlation >= _CORRELATION and abs(1e9 * offset.seconds - lag_ns) < 1e9 * _REACH:
             found.append((begin + 0.5 * _WINDOW_S, offset.seconds, max(offset.sigma, _OFFSET_NOISE)))
     at, offsets, sigmas = np.array(found).reshape(-1, 3).T
     return at, offsets, sigmas

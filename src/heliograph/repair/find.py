@@ -27,7 +27,7 @@ from heliograph.data import Event, ImuBatch, ImuClock, Message, Rig, SensorRepai
 from heliograph.errors import HeliographError
 from heliograph.examination import lidar_motion
 from heliograph.lie import so3
-from heliograph.repair.cause import likely_cause
+from heliograph.repair.cause import clock_step, likely_cause
 from heliograph.repair.source import RepairedSource
 
 __all__ = ["find_repairs", "sensor_repairs"]
@@ -80,8 +80,11 @@ def find_repairs(
     whole = ImuBatch.joined(tee.batches)
     if len(whole) < 2 or motion is None:
         return (), ""
+    evidence = _evidence(whole, motion, config)
+    if not sure and (step := clock_step(evidence)):  # one offset would be wrong on either side of it
+        return (), f"the IMU contradicts the LiDAR: {step}"
     repairs = _found(source, whole, motion, config, threads=threads, sure=sure)
-    return repairs, "" if repairs else likely_cause(_evidence(whole, motion, config))
+    return repairs, "" if repairs else likely_cause(evidence)
 
 
 def _found(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from heliograph.checks.evidence import gather
-from heliograph.repair.cause import likely_cause
+from heliograph.repair.cause import clock_step, likely_cause
 from heliograph.sim import SCENARIOS
 from imu_records import made_records
 
@@ -47,6 +47,12 @@ def test_drift_of_the_clock_is_named_with_its_rate(sound, drift):
     said = cause(sound, late(lambda at: drift * at))
     assert "runs away from the LiDAR's" in said and "calibrate" in said
     assert float(said.partition("by ")[2].partition(" ms")[0]) == pytest.approx(1e3 * drift, rel=0.15)
+
+
+@pytest.mark.parametrize("offset", [0.07, 0.3, -0.7, 2.5])
+def test_constant_offset_is_no_step(sound, offset):
+    imu, motion = sound
+    assert clock_step(gather(late(lambda _: offset)(imu), motion)) == ""
 
 
 @pytest.mark.parametrize("step", [0.1, 0.15, 0.3])
