@@ -31,7 +31,7 @@ def likely_cause(evidence: Evidence) -> str:
     Parameters
     ----------
     evidence : Evidence
-        Of the samples as recorded, against a motion that the LiDAR alone saw.
+        From the samples as recorded, against a motion that the LiDAR alone saw.
     """
     checks = (check_accel_unit, check_gyro_unit, check_gyro_axes, check_accel_axes, check_mounting)
     findings = [check(evidence) for check in checks]
