@@ -88,7 +88,7 @@ def main() -> int:
         prepared(program, Path(work))
         for document in chosen:
             folder = Path(work)
-            for result in folder.glob("*_calibration"):
+            for result in (*folder.glob("*_calibration"), *folder.glob("out")):
                 shutil.rmtree(result)  # of the document before
             for section, line in lines_of(document):
                 reason = next((why for pattern, why in NOT_TYPED.items() if re.search(pattern, line)), None)
