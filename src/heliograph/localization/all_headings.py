@@ -37,7 +37,7 @@ class HeadingSearch:
     Parameters
     ----------
     clouds : sequence of (N, 3) float32
-        Of the submaps, each in its own frame, z up [m].
+        Points of the submaps, each in its own frame, z up [m].
     """
 
     def __init__(self, clouds: Sequence[Points]) -> None:
@@ -52,7 +52,7 @@ class HeadingSearch:
         points_level : (N, 3) float32
             z up, the origin at the IMU [m].
         indices : sequence of int
-            Of the submaps.
+            Numbers of the submaps.
         """
         cells, heights = _seen_from_above(points_level)
         if len(cells) == 0:

@@ -130,7 +130,7 @@ def search(
     known : sequence of (4, 4) float64
         Poses of the levelled frame that are tried in any case, such as those of places found before.
     number : int
-        Of the query among those that look for one place: each goes through other submaps of a large map.
+        Number of the query among those that look for one place: each goes through other submaps of a large map.
     """
     found: list[MapPlace] = []
     for T in known:

@@ -38,7 +38,7 @@ class StepsBetween:
     first, second : (N,) int64
         Keyframes.
     covariance : (N, 6, 6) float64
-        Of right perturbations of ``inverse(T_first) @ T_second``.
+        Covariance of right perturbations of ``inverse(T_first) @ T_second`` [rad^2, m^2].
     """
 
     first: NDArray[np.int64]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array, freeze
 from heliograph.data import NavState
 from heliograph.data.error_layout import CLOCK, GYRO_BIAS, MOUNTING, POSE, POSE_DIM, POSITION, ROTATION, VELOCITY
-from heliograph.odometry.filter.sight import Sight, SightOfScans
+from heliograph.odometry.filter.sight import SeenInformation, SightOfScans
 from heliograph.registration import NormalEquations, TrueShare, true_share
 
 __all__ = ["ScanMeasurement"]
@@ -43,7 +43,7 @@ class ScanMeasurement:
         Weighted ``J^T r``.
     sums : NormalEquations
         What the registration found, every match counting as an independent one.
-    together : Sight, optional
+    together : SeenInformation, optional
         What the scan and those before it saw, where it alone is not sure.
     state : NavState, optional
         Where it was linearised.
@@ -53,7 +53,7 @@ class ScanMeasurement:
     information: Array
     gradient: Array
     sums: NormalEquations
-    together: Sight | None = None
+    together: SeenInformation | None = None
     state: NavState | None = None
 
     def __post_init__(self) -> None:

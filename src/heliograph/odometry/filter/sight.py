@@ -22,7 +22,7 @@ from heliograph.data.error_layout import POSE, POSITION
 from heliograph.registration import NormalEquations, TrueShare, feigned_deviation, split_information
 from heliograph.snapshots import Stateful, array
 
-__all__ = ["Sight", "SightOfScans"]
+__all__ = ["SeenInformation", "SightOfScans"]
 
 _SCANS = 5  # that are averaged
 _CHANGE_SIGMAS = 4.0  # of the ratio's logarithm, beyond which the place has changed
@@ -31,7 +31,7 @@ _NEW_AFTER = 0.1  # way after which most of a scan's points fall on other planes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sight:
+class SeenInformation:
     """Information of one or more scans and what noise feigns of it, on average, in axes of the odom frame.
 
     Parameters
@@ -58,7 +58,7 @@ class Sight:
         freeze(self)
 
     @classmethod
-    def of(cls, sums: NormalEquations, state: NavState) -> Sight:
+    def of(cls, sums: NormalEquations, state: NavState) -> SeenInformation:
         """Return that of one scan."""
         T = _turn(len(sums.information), state.R_odom_imu, "motion" in sums.blocks)
         return cls(
@@ -70,13 +70,13 @@ class Sight:
             at=state.p_odom,
         )
 
-    def followed_by(self, scan: Sight) -> Sight:
+    def followed_by(self, scan: SeenInformation) -> SeenInformation:
         """Return the mean with one more scan."""
         count = min(self.count + 1, _SCANS)
         a = 1.0 / count
         alike = float(np.exp(-np.linalg.norm(scan.at - self.at) / _NEW_AFTER))
         old, new = (1.0 - a) * self.deviation, a * scan.deviation
-        return Sight(
+        return SeenInformation(
             blocks=scan.blocks,
             information=(1.0 - a) * self.information + a * scan.information,
             feigned=(1.0 - a) * self.feigned + a * scan.feigned,
@@ -101,7 +101,7 @@ class Sight:
         H, F = T.T @ self.information @ T, T.T @ self.feigned @ T
         return split_information(H[columns, columns], F[columns, columns], self.scatter, sums.robust_weight)
 
-    def differs(self, scan: Sight) -> bool:
+    def differs(self, scan: SeenInformation) -> bool:
         """Tell whether a scan sees otherwise than these did, along what either of both sees worst."""
         limit = _CHANGE_SIGMAS * float(np.hypot(self.scatter, scan.scatter))
         for worst in (self.pose().directions[:, 0], scan.pose().directions[:, 0]):
@@ -111,7 +111,7 @@ class Sight:
         return False
 
 
-def _ratio(sight: Sight, u: Array) -> float:
+def _ratio(sight: SeenInformation, u: Array) -> float:
     feigned = float(u @ sight.feigned[POSE, POSE] @ u)
     return float(u @ sight.information[POSE, POSE] @ u) / feigned if feigned > 0.0 else 0.0
 
@@ -140,7 +140,7 @@ class SightOfScans(Stateful):
     def __init__(self) -> None:
         self._take(None)
 
-    def _take(self, sight: Sight | None) -> None:
+    def _take(self, sight: SeenInformation | None) -> None:
         self._blocks = list(sight.blocks) if sight is not None else []
         self._information = sight.information if sight is not None else np.zeros((0, 0))
         self._feigned = sight.feigned if sight is not None else np.zeros((0, 0))
@@ -148,12 +148,12 @@ class SightOfScans(Stateful):
         self._count = sight.count if sight is not None else 0
         self._at = sight.at if sight is not None else np.zeros(3)
 
-    def with_scan(self, sums: NormalEquations, state: NavState) -> Sight:
+    def with_scan(self, sums: NormalEquations, state: NavState) -> SeenInformation:
         """Return what a scan sees, with those before it where it sees the like."""
-        scan = Sight.of(sums, state)
+        scan = SeenInformation.of(sums, state)
         if self._count == 0 or tuple(self._blocks) != scan.blocks:
             return scan
-        before = Sight(
+        before = SeenInformation(
             blocks=scan.blocks,
             information=self._information,
             feigned=self._feigned,
