@@ -133,7 +133,7 @@ class PlaneBundle:
         shared : (E, 6, 3) float64
             Between a keyframe and a plane: two tilts and the distance.
         planes : (P, 3, 3) float64
-            Of the planes.
+            Matrices of the planes.
         """
         _, centre, _, vectors = self.spread(T_map_imu)
         R, p = T_map_imu[self.keyframe, :3, :3], T_map_imu[self.keyframe, :3, 3]
