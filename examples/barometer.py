@@ -53,4 +53,4 @@ if __name__ == "__main__":
     store.close()
     solution = solve(graph, values)
     z, sigma = solution.values.at(last).position[2], np.sqrt(Marginals(graph, solution.values).covariance(last)[5, 5])
-    print(f"{solution.status}: the end is {z:.3f} m above the start; one-sigma {before:.4f} m, now {sigma:.4f} m")
+    print(f"{solution.status}: the end is {z:.3f} m above the start; one-sigma {before:.6f} m, now {sigma:.6f} m")

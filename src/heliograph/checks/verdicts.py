@@ -220,7 +220,7 @@ def check_drift(evidence: RunEvidence) -> Finding:
     code, title, picture = "drift", "drift", "report.html#trajectory"
     graph, way = evidence.graph, evidence.distance
     if graph is None or not graph.accepted or way < _MIN_WAY:
-        text = f"the path does not come back to where it was ({evidence.gap:.2f} m between its ends)"
+        text = f"no loop stands that would tell the drift ({evidence.gap:.2f} m between the path's ends)"
         text = text if way >= _MIN_WAY else f"{way:.1f} m of path are too short to tell"
         return Finding(code=code, title=title, verdict="unknown", evidence=text, picture=picture)
     drift = 100.0 * graph.moved / way

@@ -18,7 +18,7 @@ import numpy as np
 
 from heliograph.arrays import Array, freeze
 from heliograph.data import NavState
-from heliograph.data.error_layout import POSE, POSITION
+from heliograph.data.error_layout import GYRO_BIAS, POSE, POSITION, ROTATION
 from heliograph.registration import NormalEquations, TrueShare, feigned_deviation, split_information
 from heliograph.snapshots import Stateful, array
 
@@ -119,9 +119,9 @@ def _ratio(sight: SeenInformation, u: Array) -> float:
 def _turn(size: int, R: Array, motion: bool) -> Array:
     """Return what turns rotation and gyroscope bias, told in body axes, to axes of the odom frame, (C, C)."""
     T = np.eye(size)
-    T[:3, :3] = R
+    T[ROTATION, ROTATION] = R
     if motion:
-        T[9:12, 9:12] = R
+        T[GYRO_BIAS, GYRO_BIAS] = R
     return T
 
 
