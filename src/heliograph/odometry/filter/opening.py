@@ -171,26 +171,23 @@ def lidar_only(
     if len(scans) < 3:
         return None
 
-    blind: list[Array] = []
-
-    def run(v: Array, rate: Array, count: int) -> list[ScanResult]:
+    def run(v: Array, rate: Array, count: int) -> tuple[list[ScanResult], list[Array]]:
         state = constant_velocity_state(scans[0].stamp_ns, v, rate, rig, config.filter)
         core = FilterCore(state, MotionModel(config.imu, config.filter, None), config, threads=threads)
-        results = []
-        blind.clear()
+        results, blind = [], []
         for scan in scans[:count]:
             results.append(core.process(scan, NO_IMU))
             blind.append(core.blind)
-        return results
+        return results, blind
 
     zero = np.zeros(3)
-    results = run(zero, zero, len(scans))
+    results, blind = run(zero, zero, len(scans))
     if (along := _blind_direction(results, config)) is not None:
         speeds = (0.0, *config.filter.tried_speeds, *(-speed for speed in config.filter.tried_speeds))
-        tried = [run(speed * along, zero, _TRIED_SCANS) for speed in speeds]
+        tried = [run(speed * along, zero, _TRIED_SCANS)[0] for speed in speeds]
         best = max(tried, key=_share)
         if best is not tried[0]:
-            results = run(best[-1].v_odom, zero, len(scans))
+            results, blind = run(best[-1].v_odom, zero, len(scans))
     for last in (False, True):
         if sum(result.matches > 0 for result in results) < 2:
             return None
@@ -198,7 +195,7 @@ def lidar_only(
         ends_ns = np.array([result.end_ns for result in results], dtype=np.int64)
         moved = _fit_motion(T, ends_ns, scans[0].stamp_ns, unseen_way(ends_ns, np.stack(blind), 0)[-1])
         if not last:
-            results = run(moved.v_imu, moved.rate_imu, len(scans))
+            results, blind = run(moved.v_imu, moved.rate_imu, len(scans))
     return moved, results
 
 

@@ -191,6 +191,21 @@ def test_a_motion_that_the_lidar_sees_wins_over_rest_and_rest_over_a_slide(seed)
         assert rest_explains(scans_of(packets), results, CONFIG) is not moves
 
 
+def test_rest_that_is_found_best_among_tried_speeds_keeps_what_its_own_scans_saw(monkeypatch):
+    """Speeds are tried on five scans, whatever the number that the start has."""
+    from heliograph.odometry.filter import opening
+
+    scenario = SCENARIOS["room"].thinned(beams=16, columns=128).varied(walk={"begin": 0.0, "duration": 1.1})
+    simulation, packets, _ = packets_and_imu(scenario, 1)
+    config = replace(CONFIG, filter=replace(CONFIG.filter, tried_speeds=(300.0,)))  # at which nothing matches
+    plain, results = lidar_only(packets, simulation.rig, config, 1)
+    assert len(results) > 5
+    monkeypatch.setattr(opening, "_blind_direction", lambda *_: np.array([1.0, 0.0, 0.0]))
+    tried, again = lidar_only(packets, simulation.rig, config, 1)
+    assert len(again) == len(results)
+    np.testing.assert_array_equal(tried.unseen_imu, plain.unseen_imu)
+
+
 def test_a_speed_that_no_scan_sees_stays_unknown():
     """In a tunnel whose niches are rare the scans slide: their poses say nothing of the speed along it."""
     scenario = SCENARIOS["tunnel"].thinned(beams=16, columns=180).varied(lidar={"max_range": 15.0})
