@@ -90,6 +90,8 @@ class MapPictures:
         if self.ceiling is None:
             return render(self.points, self.top, point_size=self._spacing)
         below = np.flatnonzero(self.points[:, 2] <= self.ceiling).astype(np.int32)
+        if len(below) == 0:  # a roof is all that there is: it hides nothing
+            return render(self.points, self.top, point_size=self._spacing)
         raster = render(self.points[below], self.top, point_size=self._spacing)
         nearest = np.where(raster.nearest >= 0, below[raster.nearest], np.int32(-1))
         return Raster(nearest=nearest, shade=raster.shade)

@@ -181,6 +181,13 @@ def test_map_from_above_leaves_out_a_roof(finished, share, covered):
     assert top.max() < 5.0
 
 
+def test_map_that_is_nothing_but_roof_is_drawn(finished):
+    """Seen of a hall from beneath: all points are higher than a way below them."""
+    points = roofed(1.0)
+    record = replace(finished.record, points_map=points[points[:, 2] > 5.0], intensity=None)
+    assert (MapPictures(record).top_raster.nearest >= 0).any()
+
+
 def test_ticks_are_round_and_inside():
     assert nice_ticks(0.0, 1.0, 4) == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     assert nice_ticks(-0.031, 0.052, 4) == pytest.approx([-0.02, 0.0, 0.02, 0.04])

@@ -122,11 +122,11 @@ def point_columns(
         if height * width == 0:
             columns[name] = np.empty(0, dtype)
             continue
+        # Held against the data in whole numbers: NumPy's own check of strides overflows where a product passes 2^63.
+        if (height - 1) * row_step + (width - 1) * point_step + offset + dtype.itemsize > len(data):
+            raise DataError(f"{len(data)} bytes for {height} x {width} points of {point_step} bytes")
         size, strides = ((width,), (point_step,)) if height == 1 else ((height, width), (row_step, point_step))
-        try:
-            columns[name] = np.ndarray(size, dtype, buffer=data, offset=offset, strides=strides)
-        except (TypeError, ValueError) as error:
-            raise DataError(f"{len(data)} bytes for {height} x {width} points of {point_step} bytes") from error
+        columns[name] = np.ndarray(size, dtype, buffer=data, offset=offset, strides=strides)
     return columns
 
 

@@ -120,6 +120,14 @@ def test_field_beyond_its_point_is_refused():
         point_columns(memoryview(bytes(60)), (("x", 4, 7, 1),), "<", (1, 10), (60, 6))
 
 
+@pytest.mark.parametrize(("height", "width"), [(1, 2**32 - 1), (16, 2**32 - 1), (2**32 - 1, 2**32 - 1)])
+@pytest.mark.parametrize("step", [2**31, 2**32 - 1])
+def test_clouds_whose_size_no_integer_holds_are_refused(height, width, step):
+    """The way to the last point wraps around 2^64 to somewhere inside the data, and far outside is what was read."""
+    with pytest.raises(DataError, match="bytes for"):
+        point_columns(memoryview(bytes(64)), (("x", 0, 7, 1),), "<", (height, width), (width * step, step))
+
+
 @st.composite
 def random_clouds(draw):
     names = draw(st.permutations(["x", "y", "z", "t", "i", "ring"]))[: draw(st.integers(1, 6))]
