@@ -161,7 +161,7 @@ class Rejection:
     @property
     def bounds(self) -> Array:
         """Thresholds of the squared innovations, (M,)."""
-        return np.asarray(min(1.0, (self.settings.scale_margin * self.scale) ** 2) * self.widest)
+        return np.asarray(min(1.0, self.settings.scale_margin * self.scale) ** 2 * self.widest)
 
     def _quantile(self, probability: float, rows: int) -> float:
         key = (probability, rows)
@@ -358,6 +358,6 @@ class Rejection:
         for name, column in columns.items():
             setattr(self, name, column)
         since, self.scale, scaled = arrays["doubtful.when"].tolist()
-        if not np.isfinite([since, self.scale, scaled]).all():
+        if not np.isfinite([since, self.scale, scaled]).all() or self.scale < 0.0:
             raise ValueError(f"a scale of {self.scale}")
         self.since, self.scaled = int(since), int(scaled)

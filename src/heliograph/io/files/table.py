@@ -87,6 +87,8 @@ class TextTable:
             raise FormatError(self.path, f"line {line} has no {self.has(*names)}")
         size = float(np.median(np.abs(values))) if len(values) else 0.0
         scale = next((s for limit, s in ((1e17, 1), (1e14, 10**3), (_SECONDS, 10**6)) if size > limit), 10**9)
+        if (beyond := np.abs(values) > 2.0 * MAX_NS / scale).any():  # by so much that no integer is made of it
+            raise FormatError(self.path, f"line {self.lines[int(np.argmax(beyond))]}: its time is beyond any clock's")
         stamps = [_scaled(text.strip().replace(",", "."), scale) for text in texts]
         for line, stamp in zip(self.lines, stamps, strict=True):
             if abs(stamp) > MAX_NS:

@@ -20,6 +20,7 @@ from heliograph.graph import (
     Values,
 )
 from heliograph.graph.files import worlds
+from heliograph.graph.incremental.rejection import Rejection
 from heliograph.graph.incremental.replay import replay, replay_steps
 from heliograph.graph.model.outliers import geman_mcclure_weight
 from heliograph.graph.problem.problem import Problem
@@ -233,6 +234,14 @@ def test_state_goes_on_to_the_bit_when_saved(rng, tmp_path):
         assert other.let_go.tolist() == ends[0].let_go.tolist()
         assert [p.tobytes() for p in other.estimate().packed()] == [p.tobytes() for p in ends[0].estimate().packed()]
     assert len(ends[0].let_go) > 10
+
+
+@pytest.mark.parametrize(("scale", "share"), [(0.0, 0.0), (1e-3, 9e-6), (5.0, 1.0), (1e300, 1.0)])
+def test_thresholds_follow_the_scale_up_to_what_the_noise_says(scale, share):
+    rejection = Rejection(OutlierRejection(scale_margin=3.0))
+    rejection.widest = np.array([7.0, 9.0])
+    rejection.scale = scale
+    np.testing.assert_allclose(rejection.bounds, share * rejection.widest, rtol=1e-12)
 
 
 def test_a_refused_update_leaves_no_trace(rng):

@@ -66,6 +66,8 @@ def test_nmea_sentence_with_a_wrong_checksum_is_left_out(tmp_path):
         ("stamp,latitude,longitude,height\n1,52,1,11,4,80,0\n", "decimal commas"),
         ("stamp,latitude,longitude\n1,52.1,11.4\n", "no column height"),
         ("stamp,latitude,longitude,height\n1,north,11.4,80\n", "line 2: latitude is 'north'"),
+        ("stamp,latitude,longitude,height\n1e302,52.1,11.4,80\n", "line 2: its time is beyond any clock's"),
+        ("stamp,latitude,longitude,height\n1e300,52.1,11.4,80\n1,52.1,11.4,80\n1,52.1,11.4,80\n", "line 2: its time"),
         ("stamp,latitude,longitude,height\n", "holds no fix"),
         ("1,52.1,11.4,80\n", "no header"),
         ("", "is empty"),
