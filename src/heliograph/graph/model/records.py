@@ -176,7 +176,16 @@ class FactorRecord:
             Data of a user's own factor.
         parts
             The other attributes by name; ``rows=None`` where the class says it.
+
+        Raises
+        ------
+        ValueError
+            Keys, measurement and data are not of as many factors, or a measurement has not the numbers of its family.
         """
+        keys, measurement, measured = parts["keys"], parts["measurement"], parts["measured"]
+        width = measurement.shape[-1] if measured is None else measured.storage
+        if measurement.shape != (len(keys), width) or any(len(array) != len(keys) for array in data or ()):
+            raise ValueError(f"{len(keys)} factors with a measurement of {measurement.shape}")
         record: FactorRecord = cls.__new__(cls)
         record._fill(**parts)
         if data is not None:

@@ -126,3 +126,22 @@ def test_bad_archives_are_told(tmp_path, rng):
     np.savez(path, contents=np.frombuffer(json.dumps({"version": 99}).encode(), dtype=np.uint8))
     with pytest.raises(FormatError, match=r"later version \(99 > 1\)"):
         load_graph(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil"),
+    [
+        ("factors2.measurement", lambda a: a[:1]),  # of two factors one has a measurement
+        ("factors0.measurement", lambda a: a[:, :7]),  # a pose of seven numbers
+        ("factors0.measurement", lambda a: a[0]),
+        ("factors11.data0", lambda a: np.concatenate([a, a])),
+    ],
+)
+def test_archive_whose_factors_and_measurements_differ_is_damaged(tmp_path, rng, name, spoil):
+    path = tmp_path / "graph.npz"
+    save_graph(path, *everything(rng))
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    np.savez(path, **{**arrays, name: spoil(arrays[name])})
+    with pytest.raises(FormatError, match="factors with a measurement of"):
+        load_graph(path, factors=[Distance])
