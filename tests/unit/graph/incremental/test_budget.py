@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from heliograph.errors import ConfigError
 from heliograph.graph import ISAM2Settings
 from heliograph.graph.incremental.budget import GRANTS, SPENDINGS, UNBOUNDED, Policy, Savings
 
@@ -131,3 +132,20 @@ def test_restored_savings_go_on():
     left = tree(fluid=10_000, deferred=1)
     assert other.budget(left) == policy.budget(left)
     assert other.updates == 20
+
+
+@pytest.mark.parametrize(
+    ("updates", "savings"), [(1 << 63, [1, 1]), (3, [11, 1]), (3, [1, 1 << 70]), (3, [-1, 1]), (3, [1, 1.0])]
+)
+def test_savings_that_no_updates_leave_are_refused(updates, savings):
+    policy = Policy(ISAM2Settings(max_relinearized=10, max_steps=20))
+    with pytest.raises(ValueError, match="updates with savings"):
+        policy.restore(updates, savings)
+    policy.restore(3, [10, 20])
+    assert (policy.updates, policy.steps.left) == (3, 20)
+
+
+@pytest.mark.parametrize("name", ["relinearize_skip", "max_steps", "max_relinearized"])
+def test_bounds_that_no_counter_holds_are_refused(name):
+    with pytest.raises(ConfigError, match=name):
+        ISAM2Settings(**{name: 1 << 64})
