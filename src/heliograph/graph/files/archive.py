@@ -169,6 +169,9 @@ def _graph(
         kernel = None if entry["kernel"] is None else KERNELS[entry["kernel"][0]](float.fromhex(entry["kernel"][1]))
         count, numbers = len(arrays[f"factors{k}.keys"]), arrays[f"factors{k}.noise"]
         cls = _class_of(entry, own, path, count)
+        width = arrays[f"factors{k}.measurement"].shape[-1]
+        if cls in (built_in.Prior, built_in.Between) and width != family_called(entry["measured"]).storage:
+            raise ValueError(f"{count} factors with a measurement of {width} numbers")
         graph.add(
             cls.restored(
                 keys=arrays[f"factors{k}.keys"],

@@ -19,7 +19,7 @@ GRANTS = 64  # updates in which a whole limit is granted for what was left
 SPENDINGS = 4  # a limit is spent in this many parts: less is saved up until it is worth an elimination
 MAX_REPEATED_WORK = 2e6  # multiplications of an elimination that is worth repeating within the same update
 MAX_REPEATED_STEPS = 5000  # variables whose step it computed
-_MOST_UPDATES = 1 << 62  # that a counter holds
+_MAX_UPDATES = 1 << 62  # that a counter holds
 FAR = 2.0  # thresholds: a step longer than this is worth a pass of its own, a shorter one waits for the next update
 
 
@@ -227,9 +227,9 @@ class Policy:
     def restore(self, updates: int, savings: list[int]) -> None:
         """Go on after some updates, with their `savings`."""
         relinearizations, steps = savings
-        most = (_MOST_UPDATES, self.relinearizations.limit, self.steps.limit)
+        limits = (_MAX_UPDATES, self.relinearizations.limit, self.steps.limit)
         told = (updates, relinearizations, steps)
-        if not all(type(number) is int and 0 <= number <= limit for number, limit in zip(told, most, strict=True)):
+        if not all(type(number) is int and 0 <= number <= limit for number, limit in zip(told, limits, strict=True)):
             raise ValueError(f"{updates!r} updates with savings of {savings!r}")
         self.updates = updates
         self.relinearizations.left, self.steps.left = relinearizations, steps

@@ -13,7 +13,7 @@ __all__ = ["CONSTRAINT_SIGMA", "ISAM2Settings", "OutlierRejection"]
 CONSTRAINT_SIGMA = 1e-5
 
 
-_MOST = 1e12  # variables of any tree, and well within what native counters hold
+_MAX_COUNT = 1e12  # variables of any tree, and well within what native counters hold
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ class ISAM2Settings:
 
     def __post_init__(self) -> None:
         check_range(self, "relinearize_threshold", "wildfire", low=0.0)
-        check_range(self, "relinearize_skip", "max_steps", "max_relinearized", low=1, high=_MOST)
+        check_range(self, "relinearize_skip", "max_steps", "max_relinearized", low=1, high=_MAX_COUNT)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

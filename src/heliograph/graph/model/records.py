@@ -180,11 +180,10 @@ class FactorRecord:
         Raises
         ------
         ValueError
-            Keys, measurement and data are not of as many factors, or a measurement has not the numbers of its family.
+            Keys, measurement and data are not of as many factors.
         """
-        keys, measurement, measured = parts["keys"], parts["measurement"], parts["measured"]
-        width = measurement.shape[-1] if measured is None else measured.storage
-        if measurement.shape != (len(keys), width) or any(len(array) != len(keys) for array in data or ()):
+        keys, measurement = parts["keys"], parts["measurement"]
+        if measurement.ndim != 2 or any(len(array) != len(keys) for array in (measurement, *(data or ()))):
             raise ValueError(f"{len(keys)} factors with a measurement of {measurement.shape}")
         record: FactorRecord = cls.__new__(cls)
         record._fill(**parts)
