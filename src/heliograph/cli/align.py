@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,8 +60,10 @@ def align(
     from heliograph.registration.align import checked_pose
 
     T_start = None if start == "identity" else start if start == "global" else checked_pose(_read_pose(Path(start)))
+    stage("reading the clouds")
     points = read_points(target), read_points(source)
     _check_picture(picture)
+    stage("aligning")
     result = align_clouds(
         *points, method=method.value, start=T_start, config=AlignConfig(voxel=voxel), threads=max(threads or 1, 1)
     )

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json as jsonlib
 import sys
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
+
+from heliograph.cli.activity import stage
 
 if TYPE_CHECKING:
     from heliograph.calibration import Calibration
@@ -68,10 +71,11 @@ def _calibrate(paths: list[Path], config: RunConfig, folder: Path) -> tuple[Cali
     from heliograph.io import open_recording
 
     threads = pipeline.thread_count(config)
+    stage("opening the recording")
     with open_recording(paths, config.input, sensors="lidar,imu") as recording:
         check_output_directory(folder, overwrite=True)  # before the work; nothing in it is replaced yet
         with closing(pipeline.messages(recording, frozenset({"lidar", "imu"}), threads)) as stream:
-            found = find(stream, recording.rig, config, threads=threads)
+            found = find(_counted(stream, recording.total_scans), recording.rig, config, threads=threads)
         warnings = [e.message for e in recording.events if e.severity != "info" and e.code != "unknown-mount"]
     if not found.converged:
         warnings.append(
@@ -79,6 +83,18 @@ def _calibrate(paths: list[Path], config: RunConfig, folder: Path) -> tuple[Cali
             "--set calibration.passes=12"
         )
     return found, warnings
+
+
+def _counted(stream: Iterable[Any], total: int | None) -> Iterator[Any]:
+    """Pass messages on, and tell how many scans have gone by."""
+    from heliograph.data import Scan
+
+    scans = 0
+    for message in stream:
+        scans += isinstance(message, Scan)
+        stage("following the scans", scans, total or 0)
+        yield message
+    stage("solving for mounting and clock")
 
 
 def calibration_facts(found: Calibration) -> dict[str, Any]:

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from heliograph.cli.activity import stage
 from heliograph.report.noise import TERM_UNITS, noise_charts
 
 if TYPE_CHECKING:
@@ -87,11 +88,13 @@ def _measure(paths: list[Path], config: RunConfig, folder: Path) -> tuple[NoiseC
     from heliograph.calibration.noise import calibrate_noise as measure
     from heliograph.io import open_recording
 
+    stage("reading the IMU")
     with open_recording(paths, config.input, sensors="imu") as recording:
         check_output_directory(folder, overwrite=True)  # before the work; nothing in it is replaced yet
         imu = read_imu(recording)
         warnings = [event for event in recording.events if event.severity != "info"]
         name = recording.description
+    stage("measuring the noise")
     return measure(imu, config.imu), name, warnings
 
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import json as jsonlib
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from heliograph.cli import options, terminal
+from heliograph.cli.activity import stage
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from heliograph.checks import CheckReport, Finding, Number
     from heliograph.config import RunConfig
-    from heliograph.examination import Watcher
     from heliograph.io import Recording
 
 __all__ = ["check"]
@@ -53,9 +50,10 @@ def check(
         run={"threads": threads},
         input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration),
     )
+    stage("opening the recording")
     opened, why = _open(recordings, resolved)
-    with opened as recording, _watching(shown=not (quiet or json)) as watch:
-        report = examine_imu(recording, resolved, threads=thread_count(resolved), why=why, watch=watch)
+    with opened as recording:
+        report = examine_imu(recording, resolved, threads=thread_count(resolved), why=why, watch=_watch)
     if json:
         from heliograph.output.facts import plain
 
@@ -106,16 +104,9 @@ def _show_run(folder: Path, *, json: bool, quiet: bool) -> None:
     typer.echo(f"status: {status}" + "".join(f"; {reason}" for reason in reasons))
 
 
-@contextmanager
-def _watching(*, shown: bool) -> Iterator[Watcher]:
-    """Yield what tells the progress on a terminal, and nothing elsewhere."""
-    if not (shown and sys.stderr.isatty()):
-        yield lambda _what, _done: None
-        return
-    from rich.console import Console
-
-    with Console(file=terminal.raw(sys.stderr)).status("reading the recording") as status:
-        yield lambda what, done: status.update(f"checking: {done} {what}")
+def _watch(what: str, done: int) -> None:
+    """Tell how many messages of a kind have been looked at."""
+    stage(f"checking, {done} {what}")
 
 
 def _show(report: CheckReport, *, quiet: bool) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 from heliograph.cli.evaluate import Align
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ def compare(
     from heliograph.comparison import compare_runs
     from heliograph.output.facts import plain
 
+    stage("comparing the runs")
     found = compare_runs(runs, align=align.value)
     if html is not None:
         from heliograph.atomic import write_text

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 from heliograph.cli.closing import print_closing
 from heliograph.cli.evaluate import evaluation_lines, read_trajectory
 from heliograph.cli.run import execute
@@ -48,6 +49,7 @@ def demo(
     if interrupted:
         print_closing(run.facts, folder, json=json, quiet=quiet)
         raise typer.Exit(interrupted)
+    stage("comparing with the truth")
     result = evaluate(
         read_trajectory(folder, "trajectory.tum"), read_trajectory(recording, "groundtruth_imu.tum"), align="se3"
     )

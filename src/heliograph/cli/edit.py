@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from heliograph.cli.activity import stage
+
 __all__ = ["edit"]
 
 
@@ -23,6 +25,7 @@ def edit(
     from heliograph.editing import apply_edits
     from heliograph.edits import read_edits
 
+    stage("applying the plan and solving again")
     account, asked = apply_edits(run, plan), read_edits(plan)
     typer.echo(
         f"{len(asked.boxes)} boxes removed, {len(asked.added)} loops added, {len(asked.forbidden)} forbidden, "

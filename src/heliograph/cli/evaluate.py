@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 
 if TYPE_CHECKING:
     from heliograph.data import Trajectory
@@ -52,7 +53,9 @@ def evaluate(
         raise ConfigError(f"--time-offset '{time_offset}' is neither a number of seconds nor 'auto'") from None
     if not delta > 0.0:
         raise ConfigError(f"--delta {delta:g} is not a positive length in metres")
+    stage("reading")
     ours, theirs = read_trajectory(estimate, "trajectory.tum"), read_trajectory(reference, "groundtruth_imu.tum")
+    stage("comparing")
     result = evaluate_trajectory(ours, theirs, align=align.value, delta=delta, time_offset=offset)
     if plot is not None:
         from heliograph.atomic import write_text

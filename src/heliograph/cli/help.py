@@ -8,6 +8,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from heliograph.cli.activity import announced
+
 __all__ = ["Front", "Page"]
 
 LINES = 24
@@ -58,6 +60,11 @@ class Page(TyperCommand):
             ctx.exit()
         parsed: list[str] = super().parse_args(ctx, args)
         return parsed
+
+    def invoke(self, ctx: Any) -> Any:  # noqa: ANN401
+        """Do what the command does, and tell what it is at once that takes its time."""
+        with announced(self.name or "", quiet=bool(ctx.params.get("quiet"))):
+            return super().invoke(ctx)
 
     def whole_help(self, ctx: Any) -> str:  # noqa: ANN401
         """Return the help with every option."""

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from heliograph.cli.activity import stage
+
 if TYPE_CHECKING:
     from heliograph.graph import FactorGraph, ISAM2Settings, OutlierRejection, Values
     from heliograph.graph.incremental.replay import Replay
@@ -50,10 +52,12 @@ def solve_incrementally(
     from heliograph.graph.incremental.replay import replay, replay_steps
     from heliograph.graph.problem.problem import Problem
 
+    stage("preparing the replay")
     steps = list(replay_steps(graph, values))
     odometry = Problem(graph, values)
     initial = odometry.cost()
     smoother = ISAM2(settings, outliers=outliers)
+    stage(f"solving, {len(steps)} updates one by one")
     gc.collect()
     gc.freeze()  # the prepared steps are no garbage: the collector need not look through them during the replay
     try:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from heliograph.cli import options, terminal
+from heliograph.cli.activity import stage
 from heliograph.cli.closing import times
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def info(
     resolved = options.build_config(
         config, settings, input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration, reader)
     )
+    stage("reading the recording")
     with open_recording(recordings, resolved.input) as recording:
         report = inspect_recording(recording)
     if json:

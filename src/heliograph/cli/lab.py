@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from heliograph.cli.activity import hush
+
 __all__ = ["lab"]
 
 
@@ -33,6 +35,7 @@ def lab(
     typer.echo(f"lab: {address} (Ctrl-C ends it)")
     if not no_browser and not _opened(address):
         typer.echo("no browser opened by itself; open that address in one")
+    hush()
     try:
         serve(app, listening)
     finally:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 from heliograph.cli.closing import print_closing
 
 if TYPE_CHECKING:
@@ -80,7 +81,9 @@ def localize(
     check_extension(saved_map, extend, output)
     T_start = None if start_at is None else start_pose(start_at)
     began = time.perf_counter()
+    stage("reading the map")
     saved = open_map(saved_map, resolved)
+    stage("opening the recording")
     opening = time.perf_counter() - began
     name = recordings[0].resolve().stem
     with ExitStack() as stack:
@@ -135,8 +138,11 @@ def extend_map(
     from heliograph.merging import open_session, session_of_keyframes
     from heliograph.merging.folder import merge_into
 
+    stage("adding to the map")
     sessions = [open_session(saved_map), session_of_keyframes(keyframes, name, config)]
-    facts = merge_into(sessions, to, overwrite=overwrite)
+    facts = merge_into(
+        sessions, to, overwrite=overwrite, watch=lambda done, total: stage("adding to the map, place", done, total)
+    )
     if not quiet:
         typer.echo("\n".join(merged_lines(facts, to)))
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 from heliograph.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -46,12 +47,14 @@ def loops(
     from heliograph.output.survey_files import ACCURACY
     from heliograph.revision import open_run_graph
 
+    stage("reading the graph")
     graph = open_run_graph(run)
     if refine not in (None, "planes"):
         raise ConfigError(f"no refinement '{refine}'; there is 'planes'")
     if revoke or add is not None or refine:
         changed = [graph.revoke(number) for number in revoke or []]
         changed += [graph.add(*add)] if add is not None else []
+        stage("making walls thin, solving again" if refine else "solving again")
         account = graph.resolve(refine=refine is not None)
         for entry in changed:
             typer.echo(_line(graph, entry))

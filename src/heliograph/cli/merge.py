@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 
 __all__ = ["merge", "merged_lines"]
 
@@ -33,7 +34,13 @@ def merge(
         raise DataError("a run is named twice; name each once")
     if output.resolve() in resolved:
         raise DataError(f"{output} is one of the runs; choose another folder with -o")
-    facts = merge_into([open_session(run) for run in runs], output, overwrite=overwrite)
+    stage("reading the runs")
+    facts = merge_into(
+        [open_session(run) for run in runs],
+        output,
+        overwrite=overwrite,
+        watch=lambda done, total: stage("comparing the runs, place", done, total),
+    )
     typer.echo(jsonlib.dumps(facts) if json else "\n".join(merged_lines(facts, output)))
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from heliograph.cli.terminal import plain, raw
+from heliograph.cli.activity import hush, stage
+from heliograph.cli.terminal import is_live, plain, raw
 from heliograph.data import ScanResult
+from heliograph.errors import OutputError
 from heliograph.output import RunSummary, Sink
 from heliograph.snapshots import Snapshot
 
@@ -21,7 +24,7 @@ _REFRESH_SECONDS = 0.2
 
 
 class ProgressSink(Sink):
-    """Shows scans done, scans a second and the time left.
+    """Shows scans done, scans a second and the time left; nobody to show it to, or a full disk, ends no run.
 
     Parameters
     ----------
@@ -35,7 +38,8 @@ class ProgressSink(Sink):
         self.total, self.label = total, plain(label)
         self._done = self._before = 0
         self._start = self._shown = time.monotonic()
-        self._bar = _bar(total, self.label) if sys.stderr.isatty() else None
+        hush()
+        self._bar = _bar(total, self.label) if is_live(sys.stderr) else None
 
     def add(self, result: ScanResult) -> None:  # noqa: ARG002 - the protocol's; only that it came counts
         """Count one scan."""
@@ -43,12 +47,13 @@ class ProgressSink(Sink):
         now = time.monotonic()
         if self._bar is not None and now - self._shown >= _REFRESH_SECONDS:
             self._shown = now
-            self._bar.update(self._bar.task_ids[0], completed=self._done, rate=self._rate(now), refresh=True)
+            self._draw(completed=self._done, rate=self._rate(now), refresh=True)
         elif self._bar is None and now - self._shown >= _LINE_SECONDS:
             self._shown = now
             of = f" of {self.total}" if self.total else ""
             left = f", {(self.total - self._done) / self._rate(now):.0f} s left" if self.total else ""
-            print(f"{self.label}: {self._done}{of} scans, {self._rate(now):.0f} a second{left}", file=sys.stderr)
+            with contextlib.suppress(OSError, OutputError):
+                print(f"{self.label}: {self._done}{of} scans, {self._rate(now):.0f} a second{left}", file=sys.stderr)
 
     def snapshot(self) -> Snapshot:
         """Return how many are done."""
@@ -63,11 +68,17 @@ class ProgressSink(Sink):
         self._done, self._before, self._start = 0, 0, time.monotonic()
 
     def close(self, summary: RunSummary) -> None:  # noqa: ARG002 - the protocol's
-        """End the bar."""
+        """End the bar; what comes after the last scan is told as a stage."""
         if self._bar is not None:
-            rate = self._rate(time.monotonic())
-            self._bar.update(self._bar.task_ids[0], completed=self._done, total=self._done, rate=rate)
-            self._bar.stop()
+            self._draw(completed=self._done, total=self._done, rate=self._rate(time.monotonic()))
+            with contextlib.suppress(OSError):
+                self._bar.stop()
+        stage("writing what was found")
+
+    def _draw(self, **state: Any) -> None:  # noqa: ANN401 - the bar's own
+        if self._bar is not None:
+            with contextlib.suppress(OSError):
+                self._bar.update(self._bar.task_ids[0], **state)
 
     def _rate(self, now: float) -> float:
         return (self._done - self._before) / max(now - self._start, 1e-9)

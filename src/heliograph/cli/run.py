@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 from heliograph.cli.closing import print_closing
 from heliograph.cli.extra_sinks import extra_sinks
 from heliograph.cli.options import MapFormat
@@ -121,6 +122,8 @@ def run(
         folder, interrupted = execute(
             recordings, resolved, output, overwrite=overwrite, progress=not quiet, resume=resume, sinks=extra.sinks
         )
+        if extra.screen is not None:
+            stage("showing the whole run")
         extra.show(folder.path)
     print_closing(folder.facts, folder.path, json=json, quiet=quiet)
     if crs is not None:
@@ -159,6 +162,7 @@ def execute(
 
     if not is_pose_file(config.odometry):
         find_odometry(config.odometry)  # a wrong name is told before a recording is opened
+    stage("opening the recording")
     began = time.perf_counter()
     with interruptible() as stop, open_recording(recordings, config.input, sensors=config.sensors) as recording:
         pipeline.sensors_in_use(recording, config)  # a wrong choice is told before a folder is made

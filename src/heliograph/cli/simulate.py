@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json as jsonlib
-import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from heliograph.cli import options
-from heliograph.cli.terminal import plain, raw
+from heliograph.cli.activity import stage
 
 if TYPE_CHECKING:
     from heliograph.sim import Scenario
@@ -80,24 +78,10 @@ def _scenario(name: str) -> Scenario:
         ) from error
 
 
-def sweep_progress(label: str, every: float = 5.0) -> Callable[[int, int], None]:
-    """Return a function of sweeps done and in all that tells them: live on a terminal, else a line every so often."""
-    start = shown = time.monotonic()
-    live = sys.stderr.isatty()
+def sweep_progress(label: str) -> Callable[[int, int], None]:
+    """Return a function of sweeps done and in all that tells them."""
 
     def show(done: int, total: int) -> None:
-        nonlocal shown
-        now = time.monotonic()
-        if now - shown < (0.1 if live else every) and not (live and done == total):
-            return
-        shown = now
-        rate = done / max(now - start, 1e-9)
-        line = f"{label}: {done} of {total} sweeps, {rate:.0f} a second, {(total - done) / rate:.0f} s left"
-        print(
-            f"\r\x1b[K{plain(line)}" if live else line,
-            end="\n" if done == total or not live else "",
-            file=raw(sys.stderr) if live else sys.stderr,
-            flush=True,
-        )
+        stage(f"{label}, sweep", done, total)
 
     return show

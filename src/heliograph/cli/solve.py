@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 
 if TYPE_CHECKING:
     from heliograph.cli.incremental import Incremental
@@ -185,18 +186,21 @@ def _solved(request: _Request) -> dict[str, Any]:
         _check_folder(path)
     if solver is Solver.isam2:
         init = _replayed(init)
+    stage("reading the graph")
     task = _task(request.graph, init, kernel, request.reading)
     _check_output(task, request.output)
     for note in task.notes:
         print(f"note: {note}", file=sys.stderr)
     initial = "chordal" if init is Init.chordal else "auto"
     settings = ISAM2Settings(**request.steps)
+    stage("solving")
     if gnc:
         solution: Solution | Incremental = _without_outliers(task, request, settings)
     else:
         solution = _minimise(task, solver, settings, request.limits, initial=initial, threads=request.threads)
     if request.json and init is not Init.chordal and solution.start != "given" and solver is not Solver.isam2:
         print(f"note: start: {solution.start}", file=sys.stderr)
+    stage("writing")
     written = _write(task, solution, request.output, request.plot, title=request.graph.stem)
     facts = _facts(request.graph, task, solution, solver, request.robust, request.threads, written)
     for warning in facts["warnings"]:

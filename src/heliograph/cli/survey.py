@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.activity import stage
 
 if TYPE_CHECKING:
     from heliograph.survey import PlacedRun
@@ -50,10 +51,12 @@ def survey(
     from heliograph.errors import ConfigError
     from heliograph.survey import open_placed_run
 
+    stage("reading the run")
     placed, control = open_placed_run(run), None
     if tape and points is None:
         raise ConfigError("--tape names points of a table; give --points too")
     if points is not None:
+        stage("tying the run to the points")
         placed, rows = _tied(placed, crs, points, tape or [])
         control = _facts(rows)
         if not json:
@@ -95,6 +98,7 @@ def write_survey(
     """Write the survey's files into the run's folder and return them."""
     from heliograph.survey import deliver
 
+    stage(f"writing the map in {crs}")
     return deliver(placed, crs, control, tile=tile, e57=e57)
 
 

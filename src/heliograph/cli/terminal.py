@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import os
 import re
+import shutil
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TextIO
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
 
-__all__ = ["MAX_LINE", "console", "guarded_streams", "plain", "raw"]
+__all__ = ["MAX_LINE", "LiveLine", "console", "guarded_streams", "is_live", "live_line", "plain", "raw"]
 
 MAX_LINE = 2_000
 """Characters of one line that is printed; JSON is not cut."""
@@ -41,8 +43,59 @@ def _cut(line: str) -> str:
     return f"{line[: MAX_LINE - 40]} ... ({len(line) - MAX_LINE + 40} characters more){end}"
 
 
+def is_live(stream: TextIO) -> bool:
+    """Return whether a stream is a terminal that can draw over its own line."""
+    return stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown")
+
+
+class LiveLine:
+    """A line at the bottom of the terminal that is drawn over, and gone before anything else is written."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._drawn = False
+        self.at_margin = True
+        """Whether the last thing written was a whole line; below half a line nothing is drawn."""
+
+    def show(self, text: str) -> None:
+        """Draw a text in place of the last one, cut to the width of the terminal (``COLUMNS`` where that is set)."""
+        width = max(shutil.get_terminal_size().columns - 1, 10)
+        with self._lock:
+            if self.at_margin:
+                self._draw(plain(text).replace("\n", " ")[:width])
+                self._drawn = True
+
+    def erase(self) -> None:
+        """Leave the line empty."""
+        with self._lock:
+            if self._drawn:
+                self._draw("")
+                self._drawn = False
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Keep the line away while something else is written."""
+        with self._lock:
+            self.erase()
+            yield
+
+    def _draw(self, text: str) -> None:
+        try:
+            stream = raw(sys.stderr)
+            stream.write(f"\r\x1b[K{text}")
+            stream.flush()
+        except (OSError, ValueError):  # the terminal is gone: what is being done goes on
+            return
+
+
+live_line = LiveLine()
+
+
 class _Words(io.TextIOBase):
-    """A stream that passes on words only, and tells of a full disk as of any other output."""
+    """A stream that passes on words only, and tells of a full disk as of any other output.
+
+    A reader who has left, as in ``heliograph info ... | head``, ends no work: what is written then goes nowhere.
+    """
 
     def __init__(self, stream: TextIO, name: str) -> None:
         self.stream, self._name = stream, name
@@ -64,7 +117,10 @@ class _Words(io.TextIOBase):
             return 0
         words = "".join(_cut(line) for line in plain(text).splitlines(keepends=True))
         written = words.encode(self.encoding, "backslashreplace").decode(self.encoding)
-        self._do(lambda: self.stream.write(written))
+        with live_line.aside():
+            self._do(lambda: self.stream.write(written))
+            if self.stream.isatty():
+                live_line.at_margin = text.endswith("\n")
         return len(text)
 
     def flush(self) -> None:
@@ -74,7 +130,7 @@ class _Words(io.TextIOBase):
         try:
             action()  # type: ignore[operator]
         except BrokenPipeError:
-            raise
+            _give_up(self.stream)
         except OSError as error:
             _give_up(self.stream)
             raise output_error(self._name, error) from error
@@ -105,7 +161,8 @@ def raw(stream: TextIO) -> TextIO:
 def console() -> Console:
     """Return a console for tables on standard output; whatever they hold is words.
 
-    Where the output goes to a file or a pipe, rows are not folded at the width of a terminal that is not there.
+    Where the output goes to a file or a pipe, rows are not folded at the width of a terminal that is not there, but at
+    that of ``COLUMNS`` where it is set. ``NO_COLOR`` is honoured.
     """
     from rich.console import Console
 
@@ -113,9 +170,14 @@ def console() -> Console:
         def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401
             return super().render_str(plain(text), **options)
 
+        def print(self, *objects: Any, **options: Any) -> None:  # noqa: ANN401
+            with live_line.aside():
+                super().print(*objects, **options)
+
     terminal = sys.stdout.isatty()
     file = raw(sys.stdout) if terminal else sys.stdout
-    return _WordsConsole(file=file, highlight=False, width=None if terminal else 200, soft_wrap=False)
+    width = None if terminal or os.environ.get("COLUMNS", "").isdecimal() else 200
+    return _WordsConsole(file=file, highlight=False, width=width, soft_wrap=False)
 
 
 @contextmanager

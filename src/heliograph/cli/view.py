@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from heliograph.cli.activity import stage
+
 __all__ = ["view"]
 
 
@@ -23,6 +25,7 @@ def view(
     from heliograph.guard.account import read_account
     from heliograph.viewer import Screen, show_run
 
+    stage("showing the run")
     read_account(folder)  # what is no run is told before a window opens
     screen = Screen(folder.resolve().name, file=rrd, window=rrd is None)
     try:

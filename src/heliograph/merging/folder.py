@@ -14,6 +14,7 @@ from heliograph.config_toml import dump_config
 from heliograph.editing import UNEDITED
 from heliograph.edits import EDITS
 from heliograph.io.files.tum import TumWriter
+from heliograph.merging.links import PlaceCounter
 from heliograph.merging.merge import MergedRuns, merge_runs, session_facts
 from heliograph.merging.sessions import RunSession
 from heliograph.output.facts import graph_facts, versions
@@ -29,7 +30,9 @@ MERGE_SCHEMA = "heliograph merge 1"
 """Schema of ``run.json``: names may be added, none changes or goes."""
 
 
-def merge_into(sessions: Sequence[RunSession], path: Path, *, overwrite: bool = False) -> dict[str, Any]:
+def merge_into(
+    sessions: Sequence[RunSession], path: Path, *, overwrite: bool = False, watch: PlaceCounter | None = None
+) -> dict[str, Any]:
     """Merge runs into a folder and return what its ``run.json`` says.
 
     Parameters
@@ -40,6 +43,8 @@ def merge_into(sessions: Sequence[RunSession], path: Path, *, overwrite: bool = 
         The folder; made if absent.
     overwrite : bool
         Replace what is there.
+    watch : callable, optional
+        Told which of how many places of a pair of runs has been compared.
 
     Raises
     ------
@@ -54,7 +59,7 @@ def merge_into(sessions: Sequence[RunSession], path: Path, *, overwrite: bool = 
     for name in (EDITS, UNEDITED):  # of what was here before
         (path / name).unlink(missing_ok=True)
     try:
-        merged = merge_runs(sessions, path / KEYFRAMES)
+        merged = merge_runs(sessions, path / KEYFRAMES, watch)
         return _written(merged, sessions, path)
     except BaseException:
         lock.release()

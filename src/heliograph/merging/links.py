@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -25,7 +27,10 @@ from heliograph.slam.loops import (
 )
 from heliograph.slam.loops.verify import window_end, with_blur
 
-__all__ = ["Link", "find_links"]
+__all__ = ["Link", "PlaceCounter", "find_links"]
+
+PlaceCounter: TypeAlias = Callable[[int, int], None]
+"""Told how many places of a pair of runs have been compared, and of how many."""
 
 _EVERY = 3  # keyframes from query to query
 _QUERIES = 12  # queries of a short run, where it has as many keyframes
@@ -53,7 +58,7 @@ class Link:
         freeze(self)
 
 
-def find_links(there: RunSession, here: RunSession) -> tuple[Link, ...]:
+def find_links(there: RunSession, here: RunSession, watch: PlaceCounter | None = None) -> tuple[Link, ...]:
     """Return what may link two runs, with the decision about each.
 
     Every third keyframe of the run ``here``, more of a short one, with the scans of the metres before it, is looked for
@@ -66,10 +71,17 @@ def find_links(there: RunSession, here: RunSession) -> tuple[Link, ...]:
     ----------
     there, here : RunSession
         Match and query.
+    watch : callable, optional
+        Told which of how many queries has been looked at.
     """
     config = _loop_config(here.run.config.loops)
     every = max(1, min(_EVERY, len(here) // _QUERIES))
-    found = [e for k in range(0, len(here), every) if (e := _linked(there, here, k, config)) is not None]
+    found = []
+    for k in range(0, len(here), every):
+        evidence = _linked(there, here, k, config)
+        found += [] if evidence is None else [evidence]
+        if watch is not None:
+            watch(k // every + 1, -(-len(here) // every))
     loops: list[LoopEvidence] = []
     decisions: list[LoopDecision] = []
     refused: list[Link] = []

@@ -14,7 +14,7 @@ from heliograph.arrays import Array, freeze
 from heliograph.data import ImuBatch, Keyframe
 from heliograph.errors import DataError
 from heliograph.lie import se3
-from heliograph.merging.links import Link, find_links
+from heliograph.merging.links import Link, PlaceCounter, find_links
 from heliograph.merging.sessions import RunSession
 from heliograph.slam import BackEnd, KeyframeStore
 from heliograph.slam.loops import Ledger, LedgerEntry
@@ -77,7 +77,7 @@ class MergedRuns:
         return tuple(session.name for session in self.sessions if session.first is None)
 
 
-def merge_runs(sessions: Sequence[RunSession], folder: Path) -> MergedRuns:
+def merge_runs(sessions: Sequence[RunSession], folder: Path, watch: PlaceCounter | None = None) -> MergedRuns:
     """Link runs, put the linked ones' keyframes into one store, and solve one graph.
 
     The frame is the first run's. A run's own loops come along as they stand. Satellite fixes and wheels do not.
@@ -98,7 +98,7 @@ def merge_runs(sessions: Sequence[RunSession], folder: Path) -> MergedRuns:
     """
     if len(sessions) < 2:
         raise DataError("one run is nothing to merge; name two at least")
-    links = {(a, b): find_links(sessions[a], sessions[b]) for a, b in combinations(range(len(sessions)), 2)}
+    links = {(a, b): find_links(sessions[a], sessions[b], watch) for a, b in combinations(range(len(sessions)), 2)}
     sure = {pair: [link for link in some if link.decision.verdict == "accepted"] for pair, some in links.items()}
     poses = _frames(sessions, sure)
     if len(poses) < 2:
