@@ -131,14 +131,14 @@ def test_reader_who_leaves_does_not_end_a_run(recording, tmp_path, monkeypatch):
 
 
 def test_help_keeps_to_the_width_and_says_nothing_in_colour(monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "64")
+    monkeypatch.setenv("COLUMNS", "80")
     for command in (None, *EXAMPLES):
         assert main(["--help"] if command is None else [command, "--help"]) == 0
         out = capsys.readouterr().out
         assert "\x1b" not in out
         said = [f"heliograph {example}" for example in EXAMPLES.get(command, ())]  # to be typed: not broken
         lines = [line for line in out.splitlines() if line.strip() not in said and "--help-all has" not in line]
-        long = [line for line in lines if len(line) > 64]
+        long = [line for line in lines if len(line) > 80]
         assert not long, (command, long)
 
 
