@@ -32,6 +32,7 @@ METHODS = ("point-to-plane", "point-to-point", "point-to-edge", "gicp")
 SCENES = ("room", "corridor")
 _GATE = 1.5  # largest distance of partners [m]
 _VOXEL = 0.3
+_STILL = 1e-4  # a step that is none [m, rad]
 
 ONE_STEP = AlignConfig(
     voxel=_VOXEL, levels=1, iterations=1, gate=_GATE / _VOXEL, kernel=2.0 * _GATE / _VOXEL, min_cosine=0.0,
@@ -93,29 +94,33 @@ def two_scans(scene: str = "room", seed: int = 1) -> tuple[NDArray[np.float32], 
     return clouds[0], clouds[1]
 
 
-class IcpRun(ExperimentRun):
-    """Two scans, a start beside the truth, and one step of Gauss-Newton at a time.
+class IcpWay:
+    """One residual's way from the start, a step of Gauss-Newton at a time.
 
     Parameters
     ----------
-    settings : Settings
-        ``method``, ``scene``, and the start's offset ``dx``, ``dy`` [m] and ``turn`` [deg].
+    target, source : PreparedCloud
+    method : str
+        The residual.
+    T : (4, 4) float64
+        T_target_source to start from.
     """
 
-    def __init__(self, settings: Settings) -> None:
-        self.method = str(settings["method"])
-        target, source = two_scans(str(settings["scene"]))
-        self.target, self.source = prepare_cloud(target, ONE_STEP), prepare_cloud(source, ONE_STEP)
-        offset = [0.0, 0.0, np.radians(float(settings["turn"])), float(settings["dx"]), float(settings["dy"]), 0.0]
-        self.T = np.ascontiguousarray(T_TRUE @ se3.exp(offset))
+    def __init__(self, target: PreparedCloud, source: PreparedCloud, method: str, T: NDArray[np.float64]) -> None:
+        self.target, self.source, self.method, self.T = target, source, method, T
         self.history: list[tuple[float, float]] = []
         self.result: AlignResult | None = None
         self.moved = np.inf
         self._note()
 
-    def step(self, action: str, settings: Settings) -> None:  # noqa: ARG002 - the protocol's
+    @property
+    def ended(self) -> bool:
+        """Whether the last step moved less than a tenth of a millimetre and of a milliradian."""
+        return bool(self.moved < _STILL)
+
+    def step(self) -> None:
         """Find partners and take one step."""
-        if self.moved < 1e-4:
+        if self.ended:
             return
         self.result = align(self.target, self.source, method=self.method, start=self.T, config=ONE_STEP)
         if self.result.T_target_source is None:
@@ -139,65 +144,97 @@ class IcpRun(ExperimentRun):
         rows = self.matches()
         self.history.append((float(np.sqrt(np.mean(rows[:, 6] ** 2))) if len(rows) else np.nan, self.off()[0]))
 
-    def view(self, settings: Settings) -> ExperimentView:  # noqa: ARG002 - the protocol's
-        """Return both scans at the present pose, the partners, and how residual and offset fell."""
-        rows, (metres, degrees) = self.matches(), self.off()
-        steps = np.arange(len(self.history))
-        rms, errors = (np.array(column) for column in zip(*self.history, strict=True))
+
+class IcpRun(ExperimentRun):
+    """Two scans, a start beside the truth, and one step of Gauss-Newton at a time, with every residual side by side.
+
+    Parameters
+    ----------
+    settings : Settings
+        ``method`` that is looked at, ``scene``, and the start's offset ``dx``, ``dy`` [m] and ``turn`` [deg].
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        target, source = two_scans(str(settings["scene"]))
+        self.target, self.source = prepare_cloud(target, ONE_STEP), prepare_cloud(source, ONE_STEP)
+        offset = [0.0, 0.0, np.radians(float(settings["turn"])), float(settings["dx"]), float(settings["dy"]), 0.0]
+        start = np.ascontiguousarray(T_TRUE @ se3.exp(offset))
+        self.ways = {method: IcpWay(self.target, self.source, method, start) for method in METHODS}
+
+    def step(self, action: str, settings: Settings) -> None:  # noqa: ARG002 - the protocol's
+        """Find partners and take one step, with each residual."""
+        for way in self.ways.values():
+            way.step()
+
+    def view(self, settings: Settings) -> ExperimentView:
+        """Return both scans at the chosen way's pose, its partners, and how the offset of every way fell."""
+        way = self.ways[str(settings["method"])]
+        rows, (metres, degrees) = way.matches(), way.off()
+        rms = np.array([row for row, _ in way.history])
         readings = [
-            Reading(name="steps", label="steps taken", value=float(len(self.history) - 1), digits=0),
+            Reading(name="steps", label="steps taken", value=float(len(way.history) - 1), digits=0),
             Reading(name="rms", label="rms of the residuals", value=float(rms[-1]), digits=4, unit="m"),
             Reading(name="matches", label="partners", value=float(len(rows)), digits=0),
             Reading(name="off", label="off the truth by", value=metres, digits=4, unit="m"),
             Reading(name="turned", label="and by", value=degrees, digits=3, unit="deg"),
         ]
         blind = (
-            ", ".join(str(d) for d in self.result.observability.blind)
-            if self.result and self.result.observability
-            else ""
+            ", ".join(str(d) for d in way.result.observability.blind) if way.result and way.result.observability else ""
         )
         if blind:
             readings.append(Reading(name="blind", label="not observable", value=blind))
         charts = (
             Chart(
-                name="scans", title=f"Two scans and their partners: {self.method}", x="x [m]", y="y [m]", equal=True,
-                traces=self._scan_traces(rows),
+                name="scans", title=f"Two scans and their partners: {way.method}", x="x [m]", y="y [m]", equal=True,
+                traces=_scan_traces(way, rows),
             ),
             Chart(
-                name="fall", title="How it falls", x="step", y="[m]", log=True,
-                traces=(
-                    ChartTrace(name="rms of the residuals", kind="line", x=steps, y=np.maximum(rms, 1e-5), color=1),
-                    ChartTrace(name="offset from the truth", kind="line", x=steps, y=np.maximum(errors, 1e-5), color=2),
+                name="offsets", title="Off the truth, with each residual", x="step", y="[m]", log=True,
+                traces=tuple(
+                    ChartTrace(
+                        name=name, kind="line", x=np.arange(len(other.history)), color=color,
+                        y=np.maximum([off for _, off in other.history], 1e-5), dashed=other is not way,
+                    )
+                    for color, (name, other) in enumerate(self.ways.items(), 1)
                 ),
+            ),
+            Chart(
+                name="fall", title=f"Residuals: {way.method}", x="step", y="rms [m]", log=True,
+                traces=(ChartTrace(name="", kind="line", x=np.arange(len(rms)), y=np.maximum(rms, 1e-5), color=2),),
             ),
         )  # fmt: skip
         return ExperimentView(
-            message=self._message(blind), readings=tuple(readings), charts=charts, done=self.moved < 1e-4
+            message=_message(way, blind),
+            readings=tuple(readings),
+            charts=charts,
+            done=all(other.ended for other in self.ways.values()),
         )
 
-    def _message(self, blind: str) -> str:
-        if self.result is None:
-            return "The second scan lies where the start puts it. Step: find partners, and take one step."
-        if self.result.T_target_source is None:
-            return f"No step: {self.result.reason}."
-        kept = f" It cannot see {blind}: there the start's error stays." if blind else ""
-        if self.moved < 1e-4:
-            return f"Converged: the last step moved less than a tenth of a millimetre.{kept}"
-        return f"Step {len(self.history) - 1} moved by up to {1e3 * self.moved:.1f} mm or mrad.{kept}"
 
-    def _scan_traces(self, rows: NDArray[np.float64]) -> tuple[ChartTrace, ...]:
-        target, source = _elements(self.target), se3.act(self.T, _elements(self.source).astype(np.float64))
-        parts = [
-            ChartTrace(name="first scan", kind="points", x=target[:, 0], y=target[:, 1], color=0),
-            ChartTrace(name="second scan", kind="points", x=source[:, 0], y=source[:, 1], color=1),
-        ]
-        if len(rows):
-            p = se3.act(self.T, rows[:, :3])
-            q = target[rows[:, -1].astype(np.int64)]
-            pairs = np.stack([p[:, :2], q[:, :2], np.full((len(p), 2), np.nan)], axis=1)[:: max(len(p) // 400, 1)]
-            flat = pairs.reshape(-1, 2)
-            parts.insert(0, ChartTrace(name="partners", kind="segments", x=flat[:, 0], y=flat[:, 1], color=3))
-        return tuple(parts)
+def _message(way: IcpWay, blind: str) -> str:
+    if way.result is None:
+        return "The second scan lies where the start puts it. Step: find partners, and take one step."
+    if way.result.T_target_source is None:
+        return f"No step: {way.result.reason}."
+    kept = f" It cannot see {blind}: there the start's error stays." if blind else ""
+    if way.ended:
+        return f"{way.method} has converged: its last step moved less than a tenth of a millimetre.{kept}"
+    return f"Step {len(way.history) - 1} moved by up to {1e3 * way.moved:.1f} mm or mrad.{kept}"
+
+
+def _scan_traces(way: IcpWay, rows: NDArray[np.float64]) -> tuple[ChartTrace, ...]:
+    target, source = _elements(way.target), se3.act(way.T, _elements(way.source).astype(np.float64))
+    parts = [
+        ChartTrace(name="first scan", kind="points", x=target[:, 0], y=target[:, 1], color=0),
+        ChartTrace(name="second scan", kind="points", x=source[:, 0], y=source[:, 1], color=1),
+    ]
+    if len(rows):
+        p = se3.act(way.T, rows[:, :3])
+        q = target[rows[:, -1].astype(np.int64)]
+        pairs = np.stack([p[:, :2], q[:, :2], np.full((len(p), 2), np.nan)], axis=1)[:: max(len(p) // 400, 1)]
+        flat = pairs.reshape(-1, 2)
+        parts.insert(0, ChartTrace(name="partners", kind="segments", x=flat[:, 0], y=flat[:, 1], color=3))
+    return tuple(parts)
 
 
 def _elements(cloud: PreparedCloud) -> NDArray[np.float32]:
@@ -237,11 +274,11 @@ EXPERIMENT = Experiment(
     name="icp",
     title="ICP, step by step",
     chapter="2: scan matching",
-    question="Two scans of one place. Step: partners are found and the second scan moves. Compare the residuals: point "
-    "to plane is there in five or six steps, point to point creeps, edges alone are few. In the corridor, nothing says "
-    "how far along it one is.",
+    question="Two scans of one place. Step: partners are found and the second scan moves. Each residual goes its own "
+    "way beside the others: point to plane is there in five or six steps, point to point creeps, edges alone are few. "
+    "In the corridor, nothing says how far along it one is.",
     controls=(
-        Control(name="method", label="Residual", default="point-to-plane", choices=METHODS),
+        Control(name="method", label="Residual", default="point-to-plane", choices=METHODS, live=True),
         Control(name="scene", label="Scene", default="room", choices=SCENES),
         Control(name="dx", label="Start off along x", default=0.4, low=-1.0, high=1.0, step=0.1, unit="m"),
         Control(name="dy", label="Start off along y", default=-0.2, low=-1.0, high=1.0, step=0.1, unit="m"),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.cloud import voxel_downsample
-from heliograph.config import CloudConfig, ImuConfig, RunConfig
+from heliograph.config import CloudConfig, FilterConfig, ImuConfig, RunConfig
 from heliograph.data import ImuBatch, Scan, ScanResult
 from heliograph.errors import DataError
 from heliograph.lab.experiment import (
@@ -22,22 +22,24 @@ from heliograph.lab.experiment import (
     Settings,
     WorkedNumber,
 )
+from heliograph.lab.true_way import TrueWay
 from heliograph.lie import se3
 from heliograph.metrics import map_sharpness
 from heliograph.odometry import Odometry, make_odometry
 from heliograph.sim import SCENARIOS, Simulation, simulate
 
-__all__ = ["EXPERIMENT", "SensorsRun", "light", "shaken_room"]
+__all__ = ["EXPERIMENT", "SensorsRun", "light", "shaken_room", "wall_thickness"]
 
 MODES = {"LiDAR": frozenset({"lidar"}), "IMU": frozenset({"imu"}), "fused": frozenset({"lidar", "imu"})}
 SWEEP = 0.1  # [s]
 _SEED, _SECONDS = 1, 16.0
-_POINTS = 1000  # to match a scan with: a step of three odometries answers within a tenth of a second
+_POINTS = 700  # to match a scan with: a step of three odometries answers within a tenth of a second
 _SLICE = 0.25  # half the height of the slice that is drawn [m]
 _CELL = 0.03  # [m]
 _REST_SCANS = 12
 _START_WINDOW = 0.6  # [s]
-_MAX_CELLS = 40_000
+_MAX_CELLS, _MAX_MEASURED = 30_000, 5_000  # of a map; of it, where walls are measured
+_ITERATIONS = 4  # of a scan that smears: it does not converge
 
 
 def shaken_room(speed: float, shake: float, *, beams: int = 16, columns: int = 96) -> Simulation:
@@ -70,7 +72,16 @@ def light(*, deskew: str = "imu") -> RunConfig:
     deskew : str
         ``"imu"`` or ``"off"``.
     """
-    return RunConfig(cloud=CloudConfig(target_points=_POINTS, deskew=deskew), imu=ImuConfig(start_window=_START_WINDOW))
+    return RunConfig(
+        cloud=CloudConfig(target_points=_POINTS, deskew=deskew),
+        imu=ImuConfig(start_window=_START_WINDOW),
+        filter=FilterConfig(max_iterations=_ITERATIONS),
+    )
+
+
+def wall_thickness(points: NDArray[np.float32]) -> float:
+    """Return the thickness of a growing map's walls [mm], from a few thousand of its points (N, 3) [m]."""
+    return 1e3 * map_sharpness(points[:: -(-len(points) // _MAX_MEASURED)], 0.2).thickness
 
 
 @dataclass(slots=True)
@@ -89,8 +100,8 @@ class Track:
             self.T_odom_imu.append(result.T_odom_imu)
             placed = se3.act(result.T_odom_imu, result.points_imu.astype(np.float64)).astype(np.float32)
             self.points = np.concatenate([self.points, placed[voxel_downsample(placed, _CELL)]])
-            if len(self.points) > _MAX_CELLS:
-                self.points = self.points[voxel_downsample(self.points, _CELL)][-_MAX_CELLS:]
+            if len(self.points) > _MAX_CELLS:  # a quarter less, so that it is not done after every scan
+                self.points = self.points[voxel_downsample(self.points, _CELL)][-3 * _MAX_CELLS // 4 :]
 
 
 class SensorsRun(ExperimentRun):
@@ -110,7 +121,7 @@ class SensorsRun(ExperimentRun):
             name: Track(make_odometry(configs[name], self.simulation.rig, sensors, threads=1))
             for name, sensors in MODES.items()
         }
-        self._messages = iter(self.simulation)
+        self._messages, self._truth = iter(self.simulation), TrueWay(self.simulation)
         self.done = False
         self.error = ""
         while not all(track.stamps_ns for track in self.tracks.values()) and not self.done:
@@ -141,7 +152,7 @@ class SensorsRun(ExperimentRun):
         if not track.stamps_ns:
             return np.zeros(0)
         T = np.stack(track.T_odom_imu)
-        T_truth = self.simulation.truth.pose(np.array(track.stamps_ns))
+        T_truth = self._truth.poses(track.stamps_ns)
         shift = (T_truth[0] @ np.linalg.inv(T[0]) @ T)[:, :3, 3] - T_truth[:, :3, 3]
         return np.asarray(np.linalg.norm(shift, axis=1))
 
@@ -159,7 +170,7 @@ class SensorsRun(ExperimentRun):
             ),
         ]
         if len(track.points) > 200:
-            thickness = 1e3 * map_sharpness(track.points[::3], 0.2).thickness
+            thickness = wall_thickness(track.points)
             readings.append(
                 Reading(name="thickness", label="thickness of the walls", value=thickness, digits=1, unit="mm")
             )

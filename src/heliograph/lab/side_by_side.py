@@ -14,6 +14,7 @@ from heliograph.cloud import voxel_downsample
 from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, Scan, ScanResult, Trajectory
 from heliograph.lab.experiment import (
+    Action,
     Chart,
     ChartTrace,
     Control,
@@ -23,6 +24,7 @@ from heliograph.lab.experiment import (
     Reading,
     Settings,
 )
+from heliograph.lab.true_way import TrueWay
 from heliograph.lie import se3
 from heliograph.metrics import absolute_trajectory_error, associate, map_sharpness
 from heliograph.odometry import Odometry, make_odometry, odometry_names
@@ -45,6 +47,11 @@ def lap(speed: float) -> Simulation:
     """
     scenario = SCENARIOS["demo"].thinned(beams=16, columns=360, duration=_SECONDS)
     return simulate(scenario.varied(walk={"speed": speed, "rest": 1.2}, imu={"gyro_noise": 2e-3}), seed=_SEED)
+
+
+def _thinned(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return one point a cube, and of them at most three quarters of the limit, the latest: not after every scan."""
+    return points[voxel_downsample(points, _CELL)][-3 * _MAX_CELLS // 4 :]
 
 
 @dataclass(slots=True)
@@ -78,7 +85,7 @@ class Arm:
             self.T_odom_imu.append(result.T_odom_imu)
             placed = se3.act(result.T_odom_imu, result.points_imu.astype(np.float64)).astype(np.float32)
             grown = np.concatenate([self.points, placed[voxel_downsample(placed, _CELL)]])
-            self.points = grown if len(grown) < _MAX_CELLS else grown[voxel_downsample(grown, _CELL)][-_MAX_CELLS:]
+            self.points = grown if len(grown) < _MAX_CELLS else _thinned(grown)
 
     def poses(self) -> NDArray[np.float64]:
         """Return T_map_imu of every scan, (N, 4, 4): the odometry's, moved along with the keyframe before it."""
@@ -112,23 +119,36 @@ class SideBySideRun(ExperimentRun):
                     make_odometry(config, self.simulation.rig, frozenset({"lidar", "imu"}), threads=1),
                     SlamSession(folder, config, kept=False) if graph else None,
                 )
-        self._messages = iter(self.simulation)
+        self._messages, self._truth = iter(self.simulation), TrueWay(self.simulation)
+        self._scan: list[Scan | ImuBatch] = []
+        self._ended, self._waiting = False, list[Arm]()
         self.done = False
         while not all(arm.stamps_ns for arm in self.arms.values()) and not self.done:
             self.step("step", settings)  # the rest before the lap, which the odometries wait for
 
     def step(self, action: str, settings: Settings) -> None:  # noqa: ARG002 - the protocol's
-        """Take the messages of the next scan."""
+        """Hand the messages of a scan to the next of the arms; when all have had them, those of the next scan."""
+        if self.done:
+            return
+        if not self._waiting:
+            self._scan, self._waiting = self._next_scan(), list(self.arms.values())
+        arm = self._waiting.pop(0)
+        for message in self._scan:
+            arm.add(message)
+        if self._ended:
+            arm.finish()
+            self.done = not self._waiting
+
+    def _next_scan(self) -> list[Scan | ImuBatch]:
+        """Return the messages up to the next scan; the last ones, if there is none."""
+        taken: list[Scan | ImuBatch] = []
         for message in self._messages:
             if isinstance(message, (Scan, ImuBatch)):
-                for arm in self.arms.values():
-                    arm.add(message)
+                taken.append(message)
             if isinstance(message, Scan):
-                return
-        if not self.done:
-            self.done = True
-            for arm in self.arms.values():
-                arm.finish()
+                return taken
+        self._ended = True
+        return taken
 
     def release(self) -> None:
         """Remove the keyframes."""
@@ -143,7 +163,7 @@ class SideBySideRun(ExperimentRun):
             return float("nan")
         stamps = np.array(arm.stamps_ns)
         estimate = Trajectory(stamps_ns=stamps, T_frame_body=arm.poses())
-        truth = Trajectory(stamps_ns=stamps, T_frame_body=self.simulation.truth.pose(stamps))
+        truth = Trajectory(stamps_ns=stamps, T_frame_body=self._truth.poses(arm.stamps_ns))
         return absolute_trajectory_error(associate(estimate, truth), mode="origin").rmse
 
     def view(self, settings: Settings) -> ExperimentView:  # noqa: ARG002 - the protocol's
@@ -200,6 +220,7 @@ EXPERIMENT = Experiment(
     question="The same lap, with a poor IMU, through each family of the field: a tightly coupled filter, features with "
     "a graph, and the filter with a graph. Errors, times and maps are measured as you watch.",
     controls=(Control(name="speed", label="Speed", default=1.5, low=0.8, high=3.0, step=0.1, unit="m/s"),),
+    actions=(Action(name="step", label="Step", hint="the scan through the next of the systems"),),
     begin=SideBySideRun,
     command="heliograph run drive.bag --no-graph   # then without --no-graph, then --odometry loam",
     code=CODE,

@@ -18,14 +18,13 @@ from heliograph.lab.experiment import (
     Settings,
     WorkedNumber,
 )
-from heliograph.lab.sensors import SWEEP, light, shaken_room
+from heliograph.lab.sensors import SWEEP, light, shaken_room, wall_thickness
 from heliograph.lie import se3
-from heliograph.metrics import map_sharpness
 from heliograph.odometry import make_odometry
 
 __all__ = ["EXPERIMENT", "SweepRun", "point_of_the_lesson"]
 
-_SLICE, _CELL, _MAX_CELLS = 0.25, 0.03, 40_000  # [m], [m]
+_SLICE, _CELL, _MAX_CELLS = 0.25, 0.03, 30_000  # [m], [m]
 _REST_SCANS = 14
 _CLOUDS = ("raw", "corrected")
 
@@ -49,6 +48,11 @@ def point_of_the_lesson(speed: float = 1.5, age: float = 0.08, distance: float =
         p_odom=np.array([[0.0, 0.0, 0.0], [speed * SWEEP, 0.0, 0.0]]), T_body_lidar=np.eye(4), reference=0,
     )  # fmt: skip
     return float(moved[0, 0])
+
+
+def _thinned(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return one point a cube, and of them at most three quarters of the limit, the latest: not after every scan."""
+    return points[voxel_downsample(points, _CELL)][-3 * _MAX_CELLS // 4 :]
 
 
 class SweepRun(ExperimentRun):
@@ -94,7 +98,7 @@ class SweepRun(ExperimentRun):
             placed = se3.act(result.T_odom_imu, cloud).astype(np.float32)
             self.sweep[name] = placed
             grown = np.concatenate([self.maps[name], placed[voxel_downsample(placed, _CELL)]])
-            self.maps[name] = grown if len(grown) < _MAX_CELLS else grown[voxel_downsample(grown, _CELL)][-_MAX_CELLS:]
+            self.maps[name] = grown if len(grown) < _MAX_CELLS else _thinned(grown)
         if len(self.sweep["raw"]) == len(self.sweep["corrected"]):
             shift = np.linalg.norm(self.sweep["raw"] - self.sweep["corrected"], axis=1)
             self.misplaced = float(shift.max(initial=0.0))
@@ -115,7 +119,7 @@ class SweepRun(ExperimentRun):
         ]  # fmt: skip
         for name in _CLOUDS:
             if len(self.maps[name]) > 200:
-                thick = 1e3 * map_sharpness(self.maps[name][::3], 0.2).thickness
+                thick = wall_thickness(self.maps[name])
                 readings.append(
                     Reading(name=f"thickness_{name}", label=f"walls, {name}", value=thick, digits=1, unit="mm")
                 )

@@ -103,21 +103,26 @@ def test_icp_steps_are_align_with_one_iteration():
     for _ in range(3):  # the next steps are below a tenth of a millimetre, and not taken
         run.step("step", settings)
         T = align(target, source, method="point-to-plane", start=T, config=ONE_STEP).T_target_source
-    np.testing.assert_array_equal(run.T, T)
+    way = run.ways["point-to-plane"]
+    np.testing.assert_array_equal(way.T, T)
     assert readings(run, settings)["off"] < 0.02
-    assert run.history[0][0] > 5.0 * run.history[-1][0]
+    assert way.history[0][0] > 5.0 * way.history[-1][0]
 
 
-def test_icp_to_planes_needs_fewer_steps_than_to_points():
+def test_icp_shows_every_residual_beside_the_others_and_planes_need_fewer_steps_than_points():
     experiment = find_experiment("icp")
-    off = {}
-    for method in ("point-to-plane", "point-to-point"):
-        settings = experiment.settings({"method": method})
-        run = experiment.begin(settings)
-        for _ in range(6):
-            run.step("step", settings)
-        off[method] = run.off()[0]
+    settings = experiment.settings()
+    run = experiment.begin(settings)
+    for _ in range(6):
+        run.step("step", settings)
+    off = {method: way.off()[0] for method, way in run.ways.items()}
     assert off["point-to-plane"] < 0.5 * off["point-to-point"]
+    for method in run.ways:
+        seen = settings | {"method": method}
+        assert readings(run, seen)["off"] == off[method], "a look at another residual takes no step"
+        offsets = next(chart for chart in run.view(seen).charts if chart.name == "offsets")
+        assert {trace.name: trace.y[-1] for trace in offsets.traces}[method] == max(off[method], 1e-5)
+        assert [trace.name for trace in offsets.traces if not trace.dashed] == [method]
 
 
 def test_corridor_leaves_the_start_along_itself():
