@@ -68,11 +68,11 @@ PAGE := build/page
 page:
 	mkdir -p $(PAGE)/src
 	cp .ci/page/package.json .ci/page/eslint.config.mjs $(PAGE)/
-	cp src/heliograph/lab/page/*.js src/heliograph/report/*.js $(PAGE)/src/
+	cp src/heliograph/lab/page/*.js src/heliograph/report/*.js .ci/page/globals.d.ts $(PAGE)/src/
 	cd $(PAGE) && npm install --silent --no-audit --no-fund
 	cd $(PAGE) && node_modules/.bin/eslint src
 	cd $(PAGE) && node_modules/.bin/tsc --noEmit --allowJs --checkJs --strict --target es2022 --module es2022 \
-	  --moduleResolution bundler --lib es2022,dom,dom.iterable src/lab.js src/charts.js
+	  --moduleResolution bundler --lib es2022,dom,dom.iterable src/globals.d.ts src/*.js
 
 # Rivals pin what Heliograph does not, so they live in an environment of their own.
 RIVALS := build/bench-venv

@@ -123,8 +123,9 @@ class Browser:
         return value
 
     def press(self, key):
-        """Press a key: a character, or "Space", "Tab", "ArrowRight"."""
-        code = {"Space": (" ", 32, " "), "Tab": ("Tab", 9, ""), "ArrowRight": ("ArrowRight", 39, "")}.get(key)
+        """Press a key: a character, or "Space", "Tab", "Escape", "ArrowLeft", "ArrowRight"."""
+        named = {"Space": 32, "Tab": 9, "Escape": 27, "ArrowLeft": 37, "ArrowRight": 39}
+        code = (" ", 32, " ") if key == "Space" else (key, named[key], "") if key in named else None
         name, number, text = code or (key, ord(key.upper()), key)
         down = {"type": "keyDown", "key": name, "windowsVirtualKeyCode": number} | ({"text": text} if text else {})
         self.call("Input.dispatchKeyEvent", **down)

@@ -90,5 +90,11 @@ def test_documents_explain_every_warning():
             assert f"`{code}`" in text, f"{code} of {file.name}"
 
 
+def test_reports_explain_warnings_as_the_document_does():
+    table = [line for line in (ROOT / "docs/howto/bad_data.md").read_text().splitlines() if line.startswith("| `")]
+    packaged = ROOT / "src" / "heliograph" / "report" / "warnings.md"
+    assert packaged.read_text().splitlines() == table, "copy the table's rows into the package"
+
+
 def test_readme_is_short():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 180

@@ -1,5 +1,6 @@
 """The report in a browser: it opens, asks for nothing, its numbers are the run's, and no caption overlaps."""
 
+import csv
 import json
 
 import pytest
@@ -38,6 +39,30 @@ def made(tmp_path_factory):
     return home / "run"
 
 
+def hovers_with_the_runs_numbers(page, folder):
+    """Point at the last scan of a chart, then walk by the arrow keys: the numbers are those of the table."""
+    chart = "document.querySelector('svg[aria-label=Height]')"
+    page.evaluate(f"{chart}.scrollIntoView({{block: 'center'}})")
+    x, y = page.evaluate(f"(() => {{const r = {chart}.getBoundingClientRect(); return [r.right - 1, r.y + 20]}})()")
+    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+    with (folder / "scans.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    tip = "[...document.querySelectorAll('.tip div')].map((e) => e.textContent)"
+    for place in (-1, -2):
+        time, height = page.evaluate(tip)
+        assert float(time.split()[1]) == pytest.approx(
+            1e-9 * (int(rows[place]["end_ns"]) - int(rows[0]["end_ns"])), rel=1e-3
+        )
+        assert float(height.split()[-2]) == pytest.approx(float(rows[place]["position_z"]), rel=1e-3, abs=1e-6)
+        page.evaluate(f"{chart}.focus()")
+        page.press("ArrowLeft")
+    inside = page.evaluate("(() => {const r = document.querySelector('.tip').getBoundingClientRect();"
+                           "return r.left >= 0 && r.right <= innerWidth})()")  # fmt: skip
+    assert inside
+    page.press("Escape")
+    assert not page.evaluate("!!document.querySelector('.tip').checkVisibility()")
+
+
 @pytest.mark.parametrize(("width", "dark"), [(1400, False), (390, True)], ids=["wide-light", "phone-dark"])
 def test_report_opens_with_the_runs_numbers_and_asks_for_nothing(made, tmp_path, width, dark):
     facts = json.loads((made / "run.json").read_text())
@@ -58,6 +83,7 @@ def test_report_opens_with_the_runs_numbers_and_asks_for_nothing(made, tmp_path,
         assert {"scans.csv", "map.png", "trajectory.tum"} <= set(links) <= {file.name for file in made.iterdir()}
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert page.evaluate(OVERLAPS) == []
+        hovers_with_the_runs_numbers(page, made)
         turned = page.evaluate("!!document.querySelector('#scene')")
         if turned:
             page.evaluate("document.querySelector('#scene').open = true")

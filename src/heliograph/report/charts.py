@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from heliograph.output.record import RunRecord
 from heliograph.output.scan_log import ScanTable
 from heliograph.report.colors import OBSERVABILITY, css_gradient
+from heliograph.report.hover import hover_attributes
 from heliograph.report.svg import Axis, Line, Span, line_chart, nice_ticks, number, polyline, text
 
 __all__ = [
@@ -178,7 +179,14 @@ def trajectory(record: RunRecord, turned: bool) -> str:
     plot_w, plot_h = (width - left - right) / scale, (height - top - bottom) / scale
     x_axis = centre_axis(across, plot_w, left, width - right)
     y_axis = centre_axis(up, plot_h, height - bottom, top)
-    parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="Trajectory from above">']
+    seen = np.nan_to_num(record.scans.triple("eigenvalue_translation")[:, 0])
+    numbers = hover_attributes(
+        ("time [s]", "x [m]", "y [m]", "z [m]", "weakest eigenvalue"),
+        (x_axis(across), y_axis(up), record.scans.seconds, *position.T, seen),
+    )
+    parts = [
+        f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="Trajectory from above" {numbers}>'
+    ]
     parts += equal_grid(x_axis, y_axis, ("−y [m]", "x [m]") if turned else ("x [m]", "y [m]"), height, bottom, left)
     parts += _colored_path(x_axis(across), y_axis(up), _observability(record.scans))
     parts += marker(float(x_axis(across[0])), float(y_axis(up[0])), "start")

@@ -16,8 +16,10 @@ from heliograph.data import Event
 from heliograph.output.record import RunRecord
 from heliograph.output.summary import RunSummary
 from heliograph.report import charts
+from heliograph.report.hover import hover_script
 from heliograph.report.lettering import lettered, world_file
 from heliograph.report.mapview import MapPictures
+from heliograph.report.meanings import anchor, find_meaning, meanings_section
 from heliograph.report.png import encode_png
 from heliograph.report.scene import scene
 from heliograph.report.statement import accuracy, files_beside, streams
@@ -80,13 +82,14 @@ def page(record: RunRecord, pictures: MapPictures | None) -> str:
             loop_ledger(record),
             section("Time", [charts.timings(record), timing_table(record)]),
             inferences(record.facts.get("inferences", [])),
+            meanings_section(event.code for event in record.summary.events),
             tables(record),
         )
     )
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name} · Heliograph</title>'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{style}</style></head>'
-        f"<body><main>{body}</main>{scripts}</body></html>\n"
+        f"<body><main>{body}</main>{hover_script()}{scripts}</body></html>\n"
     )
 
 
@@ -152,7 +155,9 @@ def warnings(record: RunRecord) -> str:
 
 def remark(event: Event) -> str:
     """Return an event's code, how often it came, and what it says."""
-    return f"<b>{escape(event.code)}</b>{times(event.count)} {escape(event.message)}"
+    code = escape(event.code)
+    named = f'<a href="#{anchor(event.code)}">{code}</a>' if find_meaning(event.code) else code
+    return f"<b>{named}</b>{times(event.count)} {escape(event.message)}"
 
 
 def times(count: int) -> str:

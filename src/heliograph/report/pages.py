@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from heliograph.io.files.poses import read_poses
 from heliograph.metrics import Association, Evaluation
 from heliograph.report.charts import centre_axis, equal_grid
+from heliograph.report.hover import hover_script
 from heliograph.report.png import data_uri
 from heliograph.report.svg import Line, line_chart, polyline
 
@@ -122,5 +123,5 @@ def _document(title: str, body: str) -> str:
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(title)} · Heliograph</title>'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{style}</style></head>'
-        f"<body><main>{body}</main></body></html>\n"
+        f"<body><main>{body}</main>{hover_script()}</body></html>\n"
     )

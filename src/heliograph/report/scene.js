@@ -1,19 +1,29 @@
 // The view of the map in three dimensions: drawn when it is opened, by the library kept as text in this page.
+// @ts-check
 "use strict";
-document.getElementById("scene").addEventListener("toggle", () => {
-  const place = document.getElementById("scene-view");
+/** @param {string} id */
+const part = (id) => /** @type {HTMLElement} */ (document.getElementById(id));
+/** @typedef {{dtype: string, bdata: string}} Packed */
+part("scene").addEventListener("toggle", () => {
+  const place = part("scene-view");
   if (place.dataset.drawn) return;
   place.dataset.drawn = "yes";
   const library = document.createElement("script");
-  library.textContent = document.getElementById("scene-library").textContent;
+  library.textContent = part("scene-library").textContent;
   document.head.append(library);
-  const data = JSON.parse(document.getElementById("scene-data").textContent);
+  const data = JSON.parse(part("scene-data").textContent ?? "{}");
+  /** @param {string} name */
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const [x, y, z] = data.points;
+  /** @param {Packed[]} places
+   * @param {string} name
+   * @param {string} color
+   * @param {number} width
+   * @param {string} [dash] */
   const line = ([lx, ly, lz], name, color, width, dash) => ({
     type: "scatter3d", mode: "lines", x: lx, y: ly, z: lz, name, line: { color, width, dash }, hoverinfo: "skip", connectgaps: false,
   });
-  const axis = (title) => ({ title: { text: `${title} [m]` }, color: css("--soft"), gridcolor: css("--line"), showbackground: false });
+  const axis = (/** @type {string} */ title) => ({ title: { text: `${title} [m]` }, color: css("--soft"), gridcolor: css("--line"), showbackground: false });
   const traces = [
     { type: "scatter3d", mode: "markers", x, y, z, name: "map", hoverinfo: "skip",
       marker: { size: 1.3, color: z, colorscale: data.colors } },

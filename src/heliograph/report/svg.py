@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
+from heliograph.report.hover import hover_attributes
 
 __all__ = ["Axis", "Line", "Span", "line_chart", "nice_ticks", "number", "polyline", "round_length", "text"]
 
@@ -169,7 +170,8 @@ def line_chart(
     x_low, x_high = (float(x[0]), float(x[-1])) if len(x) else (0.0, 1.0)
     x_axis = Axis(low=x_low, high=max(x_high, x_low + 1e-9), start=_LEFT, end=width - _RIGHT)
     y_axis = Axis(low=low, high=high, start=height - _BOTTOM, end=_TOP, log=log)
-    parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}">']
+    numbers = _hover(x, lines, x_axis, x_label, y_label, (_TOP, height - _BOTTOM))
+    parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(title)}" {numbers}>']
     parts += _frame(x_axis, y_axis, x_label, y_label, width, height)
     for span in spans:
         left, right = float(x_axis(span.low)), float(x_axis(span.high))
@@ -183,6 +185,20 @@ def line_chart(
     return (
         f'<figure class="panel"><figcaption><b>{escape(title)}</b>{legend(lines)}</figcaption>{"".join(parts)}</figure>'
     )
+
+
+def _hover(
+    x: NDArray[np.float64], lines: Sequence[Line], x_axis: Axis, x_label: str, y_label: str, plot: tuple[int, int]
+) -> str:
+    """Return the chart's numbers for the pointer: the abscissa, and of each curve its value, with its sigma if any."""
+    unit = y_label[y_label.find("[") :] if "[" in y_label else ""
+    names, columns = [x_label], [x]
+    for line in lines:
+        names.append(
+            f"{line.label or y_label.partition(' [')[0]} {unit}".strip() + ("±" if line.sigma is not None else "")
+        )
+        columns += [line.y] if line.sigma is None else [line.y, line.sigma]
+    return hover_attributes(names, columns, (x_axis.low, x_axis.high, x_axis.start, x_axis.end, *plot))
 
 
 def legend(lines: Sequence[Line]) -> str:

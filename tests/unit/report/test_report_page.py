@@ -4,6 +4,7 @@ import re
 import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from heliograph.data import Event
 from heliograph.output.run_folder import RunFolder
 from heliograph.pipeline import run
 from heliograph.report import write_report
+from heliograph.report.hover import MAX_ROWS, hover_attributes
 from heliograph.report.mapview import MapPictures
 from heliograph.report.page import header, page
 from heliograph.report.scene import MAX_POINTS, loop_lines
@@ -80,6 +82,7 @@ def test_report_drawings_are_well_formed(finished):
     assert len(drawings) > 10
     for drawing in drawings:
         ElementTree.fromstring(drawing)
+        drawing = re.sub(r'data-values="[^"]*"', "", drawing)
         assert "nan" not in drawing.lower().replace("nanosecond", "")
 
 
@@ -89,10 +92,10 @@ def test_report_is_the_same_for_the_same_run(finished):
     assert (finished.path / "report.html").read_bytes() == first
 
 
-def test_report_without_the_drawing_library_has_no_script(finished, monkeypatch):
+def test_report_without_the_drawing_library_has_only_its_own_script(finished, monkeypatch):
     monkeypatch.setitem(sys.modules, "plotly", None)
     html = page(finished.record, MapPictures(finished.record))
-    assert "<script" not in html and "three dimensions" not in html
+    assert html.count("<script") == 1 and "three dimensions" not in html
     assert len(html) < 3_000_000
 
 
@@ -120,6 +123,46 @@ def test_loops_that_stand_are_lines_between_their_poses(finished, tmp_path):
     found = loop_lines(record)
     assert len(found) == 3 and np.isnan(found[2]).all()
     np.testing.assert_array_equal(found[:2], path[[20, 0]])
+
+
+def hovered(html, title):
+    """Return the numbers that a chart of a page carries: names, and columns."""
+    svg = re.search(rf'<svg[^>]*aria-label="{title}[^>]*>', html)[0]
+    about = json.loads(unescape(re.search(r'data-hover="([^"]*)"', svg)[1]))
+    values = np.frombuffer(base64.b64decode(re.search(r'data-values="([^"]*)"', svg)[1]), "<f4")
+    return about, values.reshape(about["places"], -1)
+
+
+def test_charts_carry_the_runs_numbers_for_the_pointer(finished):
+    html, scans = (finished.path / "report.html").read_text(), finished.record.scans
+    about, (seconds, speed) = hovered(html, "Speed")
+    assert about["columns"] == ["time [s]", "speed [m/s]"]
+    np.testing.assert_allclose(seconds, scans.seconds, rtol=1e-6)
+    np.testing.assert_allclose(speed, np.linalg.norm(scans.triple("velocity"), axis=1), rtol=1e-6)
+    about, columns = hovered(html, "Gyroscope bias")
+    assert about["columns"] == ["time [s]", "x [mrad/s]±", "y [mrad/s]±", "z [mrad/s]±"] and len(columns) == 7
+    np.testing.assert_allclose(columns[2], 1e3 * scans.triple("sigma_gyro_bias")[:, 0], rtol=1e-6)
+    about, columns = hovered(html, "Trajectory from above")
+    np.testing.assert_allclose(columns[3:6].T, scans.triple("position"), atol=1e-5)
+
+
+def test_long_runs_carry_a_bounded_number_of_values():
+    attributes = hover_attributes(["t", "y"], [np.arange(20_001.0)] * 2, (0, 1, 0, 1, 0, 1))
+    values = base64.b64decode(re.search(r'data-values="([^"]*)"', attributes)[1])
+    assert len(values) / 8 <= MAX_ROWS
+
+
+def test_each_warning_leads_to_what_it_means_and_what_helps(finished):
+    record = finished.record
+    events = (
+        Event(code="imu-gap", message="0.2 s"),
+        Event(code="repaired-clock", message="x"),
+        Event(code="own", message="y"),
+    )
+    html = page(replace(record, summary=replace(record.summary, events=events)), None)
+    assert '<a href="#means-imu-gap">imu-gap</a>' in html and 'id="means-imu-gap"' in html
+    assert "check the recorder&#x27;s load and disk" in html
+    assert 'id="means-repaired-clock"' in html and "means-own" not in html and "<b>own</b>" in html
 
 
 def test_gap_is_told_of_a_lap_only(finished):

@@ -70,7 +70,6 @@ export function show(place, charts) {
   const wanted = new Set(charts.map((chart) => chart.name));
   for (const figure of [...place.querySelectorAll("figure")]) {
     if (!wanted.has(figure.dataset.name ?? "")) {
-      // @ts-ignore the library is a global
       Plotly.purge(figure.querySelector(".plot"));
       figure.remove();
     }
@@ -92,9 +91,7 @@ export function show(place, charts) {
     figure.children[1].setAttribute("role", "img");
     figure.children[1].setAttribute("aria-label", chart.title);
     const fresh = !figure.children[1].classList.contains("js-plotly-plot");
-    // @ts-ignore the library is a global
     Plotly.react(figure.children[1], chart.traces.map(drawn), layout(chart), CONFIG);
-    // @ts-ignore the library is a global
     if (!fresh && figure.clientWidth !== Number(figure.dataset.width)) Plotly.Plots.resize(figure.children[1]);
     figure.dataset.width = String(figure.clientWidth);
   }
