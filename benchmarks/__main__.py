@@ -16,6 +16,7 @@ from benchmarks import (
     graph,
     graph_incremental,
     graph_scale,
+    graph_sigmas,
     healthy,
     imu,
     imu_gnss,
@@ -26,10 +27,12 @@ from benchmarks import (
     loam,
     localization_table,
     loop_misled,
+    loop_runs,
     loops,
     match_scores,
     outliers,
     registration,
+    side_by_side,
     sigmas,
     speed,
     start,
@@ -55,6 +58,9 @@ _ALL = (
     "calibrate",
     *_CLOUDS,
     "loops",
+    "loop-runs",
+    "graph-sigmas",
+    "side-by-side",
     "localization",
     "sigmas",
     "match-scores",
@@ -71,6 +77,8 @@ _RUNS = {
     "graph-incremental": 5,
     "graph-outliers": 2,
     "loops": 3,
+    "loop-runs": 2,
+    "graph-sigmas": 20,
     "sigmas": 20,
     "match-scores": 2,
     "healthy": 20,
@@ -190,6 +198,20 @@ def _clouds(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
         _write("localization", localization_table.measure_localization(arguments.data.parent))
 
 
+def _whole_runs(arguments: argparse.Namespace, wanted: Sequence[str], command: Path) -> None:
+    """Run simulated ways that come back, and the demo with each variant, through the command."""
+    if "loop-runs" in wanted:
+        seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["loop-runs"]))
+        rows = loop_runs.measure_loop_runs(loop_runs.LOOP_RUN_SCENARIOS, arguments.work / "loops", command, seeds=seeds)
+        _write("loop_runs", rows)
+    if "graph-sigmas" in wanted:
+        seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["graph-sigmas"]))
+        names = list(graph_sigmas.GRAPH_SIGMA_SCENARIOS)
+        _write("graph_sigmas", graph_sigmas.measure_graph_sigmas(names, seeds=seeds))
+    if "side-by-side" in wanted:
+        _write("side_by_side", side_by_side.measure_demo(arguments.work / "side_by_side", command))
+
+
 def _healthy(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
     """Run the benchmark of what the checks say of sound recordings."""
     if "healthy" in wanted:
@@ -235,6 +257,7 @@ def main() -> None:
         names, seeds = list(start.START_CASES), arguments.runs or _RUNS["start"]
         _write("start", start.compare_starts(arguments.work, ours / "heliograph", names=names, runs=seeds))
     _healthy(arguments, wanted)
+    _whole_runs(arguments, wanted, ours / "heliograph")
     rival = arguments.rival_bin / "python"
     if "imu" in wanted:
         _write("imu", imu.measure(arguments.work, rival, runs=arguments.runs or _RUNS["imu"]))

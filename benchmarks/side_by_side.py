@@ -11,10 +11,18 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["VARIANTS", "measure_side_by_side", "side_by_side_section"]
+__all__ = ["VARIANTS", "measure_demo", "measure_side_by_side", "side_by_side_section"]
 
 VARIANTS = {"filter": ("--no-graph",), "filter + graph": (), "loam": ("--odometry", "loam")}
 """Options of `heliograph run` by name."""
+
+
+def measure_demo(work: Path, command: Path) -> list[dict[str, Any]]:
+    """Simulate the demo recording, the one of `heliograph demo`, and measure it."""
+    folder = work / "demo"
+    if not (folder / "recording.mcap").exists():
+        subprocess.run([command, "simulate", "demo", "--seed", "1", "-o", folder, "-q"], check=True)
+    return measure_side_by_side(folder / "recording.mcap", folder / "groundtruth_imu.tum", work, command)
 
 
 def measure_side_by_side(recording: Path, truth: Path, work: Path, command: Path) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ from benchmarks.blind import blind_section
 from benchmarks.calibrate import calibration_section
 from benchmarks.global_alignment import global_section
 from benchmarks.gnss import georeference_section
+from benchmarks.graph_sigmas import graph_sigmas_section
 from benchmarks.graph_table import graph_section, graph_summary, scale_section
 from benchmarks.healthy import healthy_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
@@ -21,6 +22,7 @@ from benchmarks.live import live_section
 from benchmarks.loam import loam_section
 from benchmarks.localization_table import localization_section
 from benchmarks.loop_misled import misled_section
+from benchmarks.loop_runs import loop_runs_section
 from benchmarks.loops import loops_section
 from benchmarks.match_scores import scores_section
 from benchmarks.outliers import outliers_section
@@ -54,10 +56,12 @@ _OTHER_SECTIONS = {
     "kd_tree": kd_tree_section,
     "loops": loops_section,
     "loop_misled": misled_section,
+    "loop_runs": loop_runs_section,
     "side_by_side": side_by_side_section,
     "localization": localization_section,
     "match_scores": scores_section,
     "sigmas": sigmas_section,
+    "graph_sigmas": graph_sigmas_section,
     "georeference": georeference_section,
     "wheels": wheels_section,
     "healthy": healthy_section,

@@ -10,10 +10,10 @@ namespace heliograph {
 namespace {
 
 IcpSettings icp_settings(int residual, bool by_cube, double gate, double kernel, double sigma, double min_cosine,
-                         bool one_sided) {
+                         bool one_sided, size_t stride) {
   if (residual < 0 || residual > 3) throw std::invalid_argument("residual must be 0 to 3");
   if (!(gate > 0.0) || !(sigma > 0.0)) throw std::invalid_argument("gate and sigma must be positive");
-  return {static_cast<Residual>(residual), by_cube, gate, kernel, sigma, min_cosine, one_sided};
+  return {static_cast<Residual>(residual), by_cube, gate, kernel, sigma, min_cosine, one_sided, stride};
 }
 
 void check_level(const SurfaceCloud& cloud, size_t level) {
@@ -25,15 +25,16 @@ class Matcher {
  public:
   static constexpr size_t kColumns = 13;
 
-  Matcher(SurfaceCloud& target, size_t target_level, const SurfaceCloud& source, size_t source_level)
-      : target_(target), source_(source), target_level_(target_level), source_level_(source_level) {
+  Matcher(SurfaceCloud& target, size_t target_level, const SurfaceCloud& source, size_t source_level, size_t stride)
+      : target_(target), source_(source), target_level_(target_level), source_level_(source_level), stride_(stride) {
     check_level(target, target_level);
     check_level(source, source_level);
+    if (stride < 1) throw std::invalid_argument("stride must be positive");
   }
 
   Tuple sums(const Matrix4& T, int residual, bool by_cube, double gate, double kernel, double sigma, double min_cosine,
              bool one_sided, bool keep, int threads) {
-    const IcpSettings settings = icp_settings(residual, by_cube, gate, kernel, sigma, min_cosine, one_sided);
+    const IcpSettings settings = icp_settings(residual, by_cube, gate, kernel, sigma, min_cosine, one_sided, stride_);
     if (keep && hints_.empty()) throw std::invalid_argument("there are no partners to keep yet");
     const IcpSums s = unlocked([&] {
       if (!by_cube) target_.tree(target_level_);
@@ -46,7 +47,7 @@ class Matcher {
 
   auto matches(const Matrix4& T, int residual, bool by_cube, double gate, double kernel, double sigma, double min_cosine,
                bool one_sided, int threads) {
-    const IcpSettings settings = icp_settings(residual, by_cube, gate, kernel, sigma, min_cosine, one_sided);
+    const IcpSettings settings = icp_settings(residual, by_cube, gate, kernel, sigma, min_cosine, one_sided, stride_);
     const std::vector<IcpMatch> m = unlocked([&] {
       if (!by_cube) target_.tree(target_level_);
       return icp_matches(target_, target_level_, source_, source_level_, T.data(), settings, hints_, threads);
@@ -64,7 +65,7 @@ class Matcher {
  private:
   SurfaceCloud& target_;
   const SurfaceCloud& source_;
-  size_t target_level_, source_level_;
+  size_t target_level_, source_level_, stride_;
   std::vector<uint32_t> hints_;
 };
 
@@ -142,15 +143,17 @@ void bind_surface_cloud(nb::module_& m) {
            })
       .def("elements", &elements, "level"_a)
       .def("overlap",
-           [](SurfaceCloud& to, size_t level, const SurfaceCloud& from, size_t from_level, const Matrix4& T, double reach, int threads) {
+           [](SurfaceCloud& to, size_t level, const SurfaceCloud& from, size_t from_level, const Matrix4& T, double reach, int threads,
+              size_t stride) {
              check_level(to, level);
              check_level(from, from_level);
+             if (stride < 1) throw std::invalid_argument("stride must be positive");
              return unlocked([&] {
                to.tree(level);
-               return overlap_share(to, level, from, from_level, T.data(), reach, threads);
+               return overlap_share(to, level, from, from_level, T.data(), reach, stride, threads);
              });
            },
-           "level"_a, "source"_a, "source_level"_a, "T"_a.noconvert(), "reach"_a, "threads"_a);
+           "level"_a, "source"_a, "source_level"_a, "T"_a.noconvert(), "reach"_a, "threads"_a, "stride"_a = 1);
 }
 
 void bind_range_image(nb::module_& m) {
@@ -200,8 +203,8 @@ void bind_alignment(nb::module_& m) {
   m.def("consistent_sets", &sets_of, "p"_a.noconvert(), "q"_a.noconvert(), "normal_p"_a.noconvert(),
         "normal_q"_a.noconvert(), "tolerance"_a, "max_angle"_a, "seeds"_a, "threads"_a);
   nb::class_<Matcher>(m, "Matcher")
-      .def(nb::init<SurfaceCloud&, size_t, const SurfaceCloud&, size_t>(), "target"_a, "target_level"_a, "source"_a,
-           "source_level"_a, nb::keep_alive<1, 2>(), nb::keep_alive<1, 4>())
+      .def(nb::init<SurfaceCloud&, size_t, const SurfaceCloud&, size_t, size_t>(), "target"_a, "target_level"_a, "source"_a,
+           "source_level"_a, "stride"_a = 1, nb::keep_alive<1, 2>(), nb::keep_alive<1, 4>())
       .def("sums", &Matcher::sums, "T"_a.noconvert(), "residual"_a, "by_cube"_a, "gate"_a, "kernel"_a, "sigma"_a,
            "min_cosine"_a, "one_sided"_a, "keep"_a, "threads"_a)
       .def("matches", &Matcher::matches, "T"_a.noconvert(), "residual"_a, "by_cube"_a, "gate"_a, "kernel"_a, "sigma"_a,

@@ -163,6 +163,8 @@ double seen_side(const SurfaceElement& e) {
   return towards > 0.0 ? 1.0 : -1.0;
 }
 
+size_t strided(size_t count, size_t stride) { return (count + stride - 1) / stride; }
+
 struct Pairing {
   const ElementLevel& target;
   const KdTree* tree;
@@ -275,19 +277,20 @@ IcpSums icp_sums(const SurfaceCloud& target, size_t target_level, const SurfaceC
                  const double* T, const IcpSettings& settings, std::vector<uint32_t>* hints, bool keep, int threads) {
   const Pairing pairs = pairing(target, target_level, source, source_level, T, settings);
   const auto& elements = pairs.source.elements;
-  const size_t chunks = (elements.size() + kChunk - 1) / kChunk;
-  hints->resize(elements.size(), kNoNeighbour);
+  const size_t stride = settings.stride, total_count = strided(elements.size(), stride);
+  const size_t chunks = (total_count + kChunk - 1) / kChunk;
+  hints->resize(total_count, kNoNeighbour);
   std::vector<IcpSums> partial(chunks);
   parallel_chunks(chunks, threads, [&](size_t chunk) {
     IcpSums& sums = partial[chunk];
-    const size_t begin = chunk * kChunk, count = std::min(elements.size(), begin + kChunk) - begin;
+    const size_t begin = chunk * kChunk, count = std::min(total_count, begin + kChunk) - begin;
     double places[3 * kChunk];
     uint32_t* found = hints->data() + begin;
-    for (size_t i = 0; i < count; ++i) apply(pairs.motion, elements[begin + i].mean, places + 3 * i);
+    for (size_t i = 0; i < count; ++i) apply(pairs.motion, elements[(begin + i) * stride].mean, places + 3 * i);
     if (!keep) pairs.partners(places, count, found);
     for (size_t k = 0; k < count; ++k) {
       if (found[k] == kNoNeighbour) continue;
-      const size_t i = begin + k;
+      const size_t i = (begin + k) * stride;
       Term term;
       if (!pairs.term(pairs.target.elements[found[k]], elements[i], places + 3 * k, &term)) continue;
       sums.cost += robust_cost(term, settings.kernel);
@@ -314,18 +317,19 @@ std::vector<IcpMatch> icp_matches(const SurfaceCloud& target, size_t target_leve
                                   const std::vector<uint32_t>& hints, int threads) {
   const Pairing pairs = pairing(target, target_level, source, source_level, T, settings);
   const auto& elements = pairs.source.elements;
-  const size_t count = elements.size(), chunks = (count + kChunk - 1) / kChunk;
+  const size_t stride = settings.stride, count = strided(elements.size(), stride);
+  const size_t chunks = (count + kChunk - 1) / kChunk;
   std::vector<std::vector<IcpMatch>> partial(chunks);
   parallel_chunks(chunks, threads, [&](size_t chunk) {
     const size_t begin = chunk * kChunk, some = std::min(count, begin + kChunk) - begin;
     double places[3 * kChunk];
     std::vector<uint32_t> partner(some, kNoNeighbour);
     if (!hints.empty()) std::copy_n(hints.begin() + static_cast<std::ptrdiff_t>(begin), some, partner.begin());
-    for (size_t k = 0; k < some; ++k) apply(pairs.motion, elements[begin + k].mean, places + 3 * k);
+    for (size_t k = 0; k < some; ++k) apply(pairs.motion, elements[(begin + k) * stride].mean, places + 3 * k);
     pairs.partners(places, some, partner.data());
     partial[chunk].reserve(some);
     for (size_t k = 0; k < some; ++k) {
-      const size_t i = begin + k;
+      const size_t i = (begin + k) * stride;
       const double* p = places + 3 * k;
       double q[3];
       const uint32_t found = partner[k];
@@ -357,19 +361,19 @@ std::vector<IcpMatch> icp_matches(const SurfaceCloud& target, size_t target_leve
 }
 
 double overlap_share(const SurfaceCloud& to, size_t to_level, const SurfaceCloud& from, size_t from_level,
-                     const double* T, double reach, int threads) {
+                     const double* T, double reach, size_t stride, int threads) {
   const KdTree& tree = *to.level(to_level).tree;
   const auto& elements = from.level(from_level).elements;
   if (elements.empty()) return 0.0;
   const Motion motion = motion_of(T);
   const auto square = static_cast<float>(reach * reach);
-  const size_t chunks = (elements.size() + kChunk - 1) / kChunk;
+  const size_t count = strided(elements.size(), stride), chunks = (count + kChunk - 1) / kChunk;
   std::vector<size_t> near(chunks, 0);
   parallel_chunks(chunks, threads, [&](size_t chunk) {
     uint32_t last = kNoNeighbour;
-    for (size_t i = chunk * kChunk; i < std::min(elements.size(), (chunk + 1) * kChunk); ++i) {
+    for (size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
       double p[3];
-      apply(motion, elements[i].mean, p);
+      apply(motion, elements[i * stride].mean, p);
       const float q[3] = {static_cast<float>(p[0]), static_cast<float>(p[1]), static_cast<float>(p[2])};
       // Elements that follow one another mostly lie together: what was near the last one is often near enough to this.
       if (last == kNoNeighbour || square_distance(q, to.level(to_level).elements[last].mean) > square) last = tree.nearest(q, square).index;
@@ -378,7 +382,7 @@ double overlap_share(const SurfaceCloud& to, size_t to_level, const SurfaceCloud
   });
   size_t total = 0;
   for (const size_t some : near) total += some;
-  return static_cast<double>(total) / static_cast<double>(elements.size());
+  return static_cast<double>(total) / static_cast<double>(count);
 }
 
 }  // namespace heliograph

@@ -18,6 +18,7 @@ struct IcpSettings {
   double sigma;         // smallest standard deviation of a residual [m]: what the surfaces' model leaves out
   double min_cosine;    // of the angle between the normals of partners that are planes
   bool one_sided;       // each cloud is seen from its origin: a plane's two sides are two planes
+  size_t stride = 1;    // every so-many-th element of the source is matched
 };
 
 struct IcpSums {
@@ -42,7 +43,7 @@ struct IcpMatch {
   double source, target;  // which elements
 };
 
-// `T` takes the source to the target (row-major 4x4). `hints` holds one guess an element of the source and receives the
+// `T` takes the source to the target (row-major 4x4). `hints` holds one guess an element that is matched and receives the
 // partners found; any guess gives the same result. With `keep` the guesses are the partners, unasked.
 IcpSums icp_sums(const SurfaceCloud& target, size_t target_level, const SurfaceCloud& source, size_t source_level,
                  const double* T, const IcpSettings& settings, std::vector<uint32_t>* hints, bool keep, int threads);
@@ -51,8 +52,9 @@ std::vector<IcpMatch> icp_matches(const SurfaceCloud& target, size_t target_leve
                                   size_t source_level, const double* T, const IcpSettings& settings,
                                   const std::vector<uint32_t>& hints, int threads);
 
-// The share of the elements of `from`, brought by T into the frame of `to`, that have an element of `to` within `reach`.
+// The share of every stride-th element of `from`, brought by T into the frame of `to`, that has an element of `to`
+// within `reach`.
 double overlap_share(const SurfaceCloud& to, size_t to_level, const SurfaceCloud& from, size_t from_level,
-                     const double* T, double reach, int threads);
+                     const double* T, double reach, size_t stride, int threads);
 
 }  // namespace heliograph

@@ -91,7 +91,7 @@ void check_iteration() {
     const auto features = point_features(target, 0, 1.0, 2);
     CHECK(features.size() == kFeature * target.level(0).elements.size());
     CHECK(nearest_features(features, features, 2, 2).size() == 2 * target.level(0).elements.size());
-    CHECK_NEAR(overlap_share(target, 0, source, 0, kIdentity, 0.5, 1), 1.0, 0.0);
+    CHECK_NEAR(overlap_share(target, 0, source, 0, kIdentity, 0.5, 3, 1), 1.0, 0.0);
   }
   const SurfaceCloud nothing({}, {0.5, 3, 0.05, 8}, 1);
   CHECK(nothing.finite() == 0 && nothing.level(0).elements.empty());

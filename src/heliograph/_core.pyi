@@ -37,6 +37,7 @@ class SurfaceCloud:
         T: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],
         reach: float,
         threads: int,
+        stride: int = 1,
     ) -> float: ...
 
 class RangeImage:
@@ -74,7 +75,9 @@ def consistent_sets(
 ) -> tuple[Any, ...]: ...
 
 class Matcher:
-    def __init__(self, target: SurfaceCloud, target_level: int, source: SurfaceCloud, source_level: int) -> None: ...
+    def __init__(
+        self, target: SurfaceCloud, target_level: int, source: SurfaceCloud, source_level: int, stride: int = 1
+    ) -> None: ...
     def sums(
         self,
         T: Annotated[NDArray[numpy.float64], dict(shape=(4, 4), order="C", device="cpu", writable=False)],

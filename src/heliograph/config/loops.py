@@ -84,6 +84,9 @@ class LoopConfig:
         that are verified until one is not refused.
     voxel, levels : float, int
         Finest cubes of the registration [m], and number of levels.
+    elements : int
+        Elements of a local map that are matched on a level at most, evenly chosen: neighbours share errors, and more
+        of them tell little more.
     gate_probability : float
         A pose that odometry calls less likely than one less this is refused.
     max_shift, max_shift_up : float
@@ -140,6 +143,7 @@ class LoopConfig:
     candidates: int = 5
     voxel: float = 0.25
     levels: int = 4
+    elements: int = 12_000
     gate_probability: float = 0.999
     max_shift: float = 5.0
     max_shift_up: float = 1.5
@@ -170,6 +174,7 @@ class LoopConfig:
         check_range(self, "before", "after", "max_blind", "min_sequence", low=0)
         check_range(self, "apart", "placed", "candidates", "compared", "min_clique", low=1)
         check_range(self, "levels", low=1, high=8)
+        check_range(self, "elements", low=100)
         check_range(
             self,
             "voxel",

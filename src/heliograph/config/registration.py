@@ -54,6 +54,8 @@ class AlignConfig:
         One-sigma of a start, an axis, for the covariance of directions that keep it [m], [deg].
     remap : bool
         Whether blind directions keep their start.
+    max_elements : int
+        Elements of the source that are matched on a level at most, evenly chosen; 0: all.
     max_extent : float
         A cloud that spans more is taken for one in another unit [m].
     """
@@ -79,10 +81,11 @@ class AlignConfig:
     start_sigma: float = 0.5
     start_sigma_deg: float = 5.0
     remap: bool = True
+    max_elements: int = 0
     max_extent: float = 5000.0
 
     def __post_init__(self) -> None:
-        check_range(self, "voxel", "kernel", "min_cosine", "normal_sigma_deg", low=0.0)
+        check_range(self, "voxel", "kernel", "min_cosine", "normal_sigma_deg", "max_elements", low=0.0)
         check_range(self, "max_thickness", "gate", "sigma", "tolerance", "tolerance_deg", "max_extent", above=0.0)
         check_range(self, "start_sigma", "start_sigma_deg", "blind_gain", above=0.0)
         check_range(self, "min_overlap", "blind_probability", low=0.0, high=1.0)

@@ -13,7 +13,15 @@ from heliograph.config import AlignConfig, GlobalAlignConfig
 from heliograph.errors import ConfigError, DataError, closest
 from heliograph.lie import se3, so3
 from heliograph.registration.align_globally import GlobalStart, find_start
-from heliograph.registration.align_levels import METHODS, LevelFit, explored, fit_levels, level_matches, refine
+from heliograph.registration.align_levels import (
+    METHODS,
+    LevelFit,
+    explored,
+    fit_levels,
+    level_matches,
+    refine,
+    stride_of,
+)
 from heliograph.registration.align_result import AlignResult, ResidualDistribution
 from heliograph.registration.blind_directions import InformationAnalysis, analyse_planes
 from heliograph.registration.surfaces import PreparedCloud, prepare_cloud
@@ -22,6 +30,7 @@ __all__ = ["align"]
 
 Array = NDArray[np.float64]
 _ROTATION_TOLERANCE = 1e-3
+_SHARE_OF = 3  # where not all elements are matched, the overlap is taken of so many times fewer
 
 
 def align(
@@ -183,9 +192,12 @@ def _overlaps(target: PreparedCloud, source: PreparedCloud, T: Array, threads: i
     level = min(1, target.native.levels() - 1)
     reach = target.config.gate * max(target.config.voxel, 0.25 if target.config.voxel == 0.0 else 0.0)
     inverse = np.ascontiguousarray(se3.inverse(T))
+    # A share of some thousand is known to a hundredth.
+    few = replace(target.config, max_elements=target.config.max_elements // _SHARE_OF)
+    strides = [stride_of(cloud, level, few) for cloud in (source, target)]
     return (
-        target.native.overlap(level, source.native, level, T, reach, threads),
-        source.native.overlap(level, target.native, level, inverse, reach, threads),
+        target.native.overlap(level, source.native, level, T, reach, threads, strides[0]),
+        source.native.overlap(level, target.native, level, inverse, reach, threads, strides[1]),
     )
 
 
@@ -220,7 +232,8 @@ def _answer(
     status, reason = _status(fit, analysis, overlaps, len(rows), config)
     answered = status in ("converged", "degenerate", "not converged")
     T = _to_given(fit.T, target, source)
-    information = _about_origin(fit.information, source.origin)
+    # Each element that was matched stands for those that were left out.
+    information = _about_origin(stride_of(source, 0, config) * fit.information, source.origin)
     blind = _moved(analysis.blind_basis(), source.origin) if analysis is not None else np.zeros((6, 0))
     watch.lap("judge")
     return AlignResult(

@@ -172,7 +172,7 @@ def _fit(
     threads: int,
     blind: Array | None,
 ) -> LevelFit:
-    matcher = _core.Matcher(target.native, level, source.native, level)
+    matcher = _core.Matcher(target.native, level, source.native, level, stride_of(source, level, config))
     gate, kernel, cosine = scales(config, level)
     residual, by_cube, sided = METHODS[method], method == "vgicp", one_sided(target, source)
     edge = config.voxel * 2.0**level if config.voxel > 0.0 else gate
@@ -231,6 +231,11 @@ def one_sided(target: PreparedCloud, source: PreparedCloud) -> bool:
     return target.config.one_sided and not (target.origin.any() or source.origin.any())
 
 
+def stride_of(source: PreparedCloud, level: int, config: AlignConfig) -> int:
+    """Return every how-many-th element of a level is matched: 1 where there are no more than `max_elements`."""
+    return max(1, -(-source.native.size(level) // config.max_elements)) if config.max_elements else 1
+
+
 def scales(config: AlignConfig, level: int) -> tuple[float, float, float]:
     """Return gate [m], kernel [m] and least cosine between normals of a level."""
     edge = config.voxel * 2.0**level if config.voxel > 0.0 else 1.0
@@ -246,7 +251,8 @@ def level_matches(
     ``tilt`` is the variance of the normal's direction [rad^2]; the normal is zero where the target has no plane. A
     ``matcher`` of this level that was used at nearly this pose saves most of the search.
     """
-    matcher = matcher if matcher is not None else _core.Matcher(target.native, level, source.native, level)
+    if matcher is None:
+        matcher = _core.Matcher(target.native, level, source.native, level, stride_of(source, level, config))
     gate, _, cosine = scales(config, level)
     residual, by_cube = METHODS[method], method == "vgicp"
     sided = one_sided(target, source)

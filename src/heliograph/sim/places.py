@@ -156,10 +156,26 @@ def warehouse(rng: np.random.Generator) -> Place:
     return Place(world=SimulatedWorld([*_hall(rng), *_yard(rng)]), course=Course(waypoints=waypoints, corner=2.0))
 
 
+def warehouse_laps(rng: np.random.Generator) -> Place:
+    """Return the warehouse with two laps, the second 0.5 m beside the first, and a bit of a third."""
+    return _lapped(warehouse(rng))
+
+
 def aisles(rng: np.random.Generator) -> Place:
     """Return the warehouse with a loop of about 40 m around one of its racks."""
     waypoints = np.array([(7.0, 6.0, 0.9), (20.0, 6.0, 0.9), (20.0, 12.0, 0.9), (4.0, 12.0, 0.9), (4.0, 6.0, 0.9)])
     return Place(world=warehouse(rng).world, course=Course(waypoints=waypoints, corner=1.6))
+
+
+def aisle_laps(rng: np.random.Generator) -> Place:
+    """Return the loop around one of the warehouse's racks walked twice, and a bit of a third time."""
+    return _lapped(aisles(rng))
+
+
+def _lapped(place: Place) -> Place:
+    lap, beside = place.course.waypoints, np.array([0.4, 0.3, 0.0])
+    way = np.vstack([lap, lap + beside, lap[:1] + beside + np.array([6.0, 0.0, 0.0])])
+    return Place(world=place.world, course=Course(waypoints=way, corner=place.course.corner, closed=False))
 
 
 def room(rng: np.random.Generator) -> Place:
@@ -372,6 +388,7 @@ def level_aisles(rng: np.random.Generator) -> Place:
 
 PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingProxyType(
     {
+        "aisle_laps": aisle_laps,
         "aisles": aisles,
         "campus": campus,
         "city": city,
@@ -389,5 +406,6 @@ PLACES: MappingProxyType[str, Callable[[np.random.Generator], Place]] = MappingP
         "traffic": traffic,
         "tunnel": tunnel,
         "warehouse": warehouse,
+        "warehouse_laps": warehouse_laps,
     }
 )

@@ -159,6 +159,7 @@ def _registry() -> dict[str, Scenario]:
     waved = Gait(frequency=1.1, bounce=0.08, lateral=0.10, roll_deg=18.0, pitch_deg=14.0, yaw_deg=22.0)
     slalom = Gait(frequency=1.0, bounce=0.0, lateral=0.12, roll_deg=0.0, pitch_deg=0.0, yaw_deg=25.0)
     usual = ImuModel(accel_bias=0.075)
+    poor = ImuModel(gyro_noise=1e-3, accel_noise=1e-2, gyro_walk=5e-5, accel_walk=5e-4, gyro_bias=0.03, accel_bias=0.15)
     handheld = Gait(frequency=1.9, bounce=0.015, lateral=0.02, roll_deg=4.0, pitch_deg=3.0, yaw_deg=8.0)
     return {
         "warehouse": warehouse,
@@ -178,6 +179,20 @@ def _registry() -> dict[str, Scenario]:
             place="campus",
             walk=Walk(speed=2.5),
             lidar=LidarModel(beams=32, columns=512, max_range=80.0),
+        ),
+        "warehouse-laps": Scenario(
+            name="warehouse-laps",
+            place="warehouse_laps",
+            lidar=LidarModel(beams=16),
+            imu=poor,
+            gnss=GnssModel(rate=0.0),
+        ),
+        "aisle-laps": Scenario(
+            name="aisle-laps",
+            place="aisle_laps",
+            lidar=LidarModel(beams=16, columns=256),
+            imu=poor,
+            gnss=GnssModel(rate=0.0),
         ),
         "storeys": Scenario(
             name="storeys",

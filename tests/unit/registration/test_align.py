@@ -59,6 +59,15 @@ def test_align_covariance_holds_its_errors():
     assert 0.1 < np.mean(squares) < 3.0  # optimistic sigmas would show as a large mean
 
 
+def test_align_by_some_of_the_elements_finds_the_same_with_the_same_covariance():
+    target, source, truth = _room_pair(2, 0.2, 0.05)
+    whole, some = (align(target, source, config=AlignConfig(max_elements=n)) for n in (0, 1000))
+    assert 300 < some.matches <= 1000 < 2 * whole.matches and some.status == "converged"
+    assert np.linalg.norm(se3.log(se3.inverse(truth) @ some.T_target_source)[3:]) < 3e-3
+    ratio = np.diag(some.covariance) / np.diag(whole.covariance)
+    assert (ratio > 0.5).all() and (ratio < 2.0).all()
+
+
 def test_align_does_not_depend_on_threads():
     target, source, _ = _room_pair()
     one, many = (align(target, source, threads=t) for t in (1, 5))

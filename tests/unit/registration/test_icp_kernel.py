@@ -57,6 +57,17 @@ def test_cubes_find_the_partner_that_holds_the_element():
     assert len(rows) > 0.5 * len(s)
 
 
+def test_every_third_element_is_matched_as_it_is_among_all():
+    target, source = _clouds(0.4)
+    more = (np.eye(4), 3, False, 0.8, 0.2, 0.01, 0.0, False)
+    everything, some = (_core.Matcher(target, 0, source, 0, stride).matches(*more, 1) for stride in (1, 3))
+    np.testing.assert_array_equal(some, everything[everything[:, 11] % 3 == 0])
+    sums = _core.Matcher(target, 0, source, 0, 3).sums(*more, False, 2)
+    assert sums[6] == len(some) < 0.4 * len(everything)
+    with pytest.raises(ValueError, match="stride"):
+        _core.Matcher(target, 0, source, 0, 0)
+
+
 def test_cubes_of_all_levels_hold_all_points():
     cloud = scenes.corner_room(np.random.default_rng(0), 20)
     native = _core.SurfaceCloud(cloud, 0.3, 4, 0.05, 6, 1)

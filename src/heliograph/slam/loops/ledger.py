@@ -145,6 +145,7 @@ class Ledger(Stateful):
                     self._agree[other.number, entry.number] = same
             for j, other in enumerate(group[:i]):
                 agree[i, j] = agree[j, i] = self._agree[other.number, entry.number]
-        inside = {entry.number for entry in group}  # a shift of many hours keeps no more than these
-        self._agree = {pair: same for pair, same in self._agree.items() if inside.issuperset(pair)}
+        if len(self._agree) > n * n:  # a shift of many hours keeps no more than these, give or take
+            inside = {entry.number for entry in group}
+            self._agree = {pair: same for pair, same in self._agree.items() if inside.issuperset(pair)}
         return agree

@@ -52,7 +52,7 @@ class LocalMaps:
         Number of maps kept.
     """
 
-    def __init__(self, submaps: Submaps, config: AlignConfig, *, kept: int = 64) -> None:
+    def __init__(self, submaps: Submaps, config: AlignConfig, *, kept: int = 16) -> None:
         self.submaps, self.config = submaps, config
         self._kept = kept
         self._maps: OrderedDict[tuple[int, int, int], PreparedCloud | None] = OrderedDict()  # None: made when asked for

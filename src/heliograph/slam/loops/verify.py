@@ -27,7 +27,7 @@ _MIN_REACH = 2  # keyframes that a local map reaches on either side whatever the
 
 def loop_align_config(config: LoopConfig) -> AlignConfig:
     """Return the settings that local maps are prepared and matched with."""
-    return AlignConfig(one_sided=True, voxel=config.voxel, levels=config.levels)
+    return AlignConfig(one_sided=True, voxel=config.voxel, levels=config.levels, max_elements=config.elements)
 
 
 def finished(pieces: Generator[None, None, T]) -> T:
