@@ -186,9 +186,9 @@ def loop_runs_section(rows: Sequence[dict[str, Any]], table: Callable[[list[str]
         "## Loops through the command", "",
         "Simulated recordings through `heliograph run` on one thread of a machine with other work on it: odometry "
         "beside the trajectory on which graph and loops have the last word. Looked at are the keyframes at which a "
-        "loop could tell more than odometry knows; a revisit is a stretch of keyframes within 4 m of one at least 30 m of way "
-        "before. A loop is false beyond 0.5 m or 5 degrees; its error is the median of the right ones. Gap: error of "
-        "the way from the first pose to the last. Kink: most by which the trajectory's step from scan to scan differs "
-        "from the odometry's.",
+        "loop could tell more than odometry knows; a revisit is a stretch of keyframes within 4 m of one at least 30 m "
+        "of way before. A loop is false beyond 0.5 m or 5 degrees; its error is the median of the right ones. Gap: "
+        "error of the way from the first pose to the last. Kink: most by which the trajectory's step from scan to scan "
+        "differs from the odometry's.",
         "", table(head, body), "",
     ])  # fmt: skip

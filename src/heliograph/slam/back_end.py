@@ -26,6 +26,7 @@ from heliograph.slam.loops import Ledger, LedgerEntry, LoopEvidence, diagonal, f
 from heliograph.slam.open_query import OpenQuery
 from heliograph.slam.past_steps import PastSteps
 from heliograph.slam.pose_factors import PoseFactors
+from heliograph.slam.second_look import SecondLook
 from heliograph.slam.step_log import StepLog, factors_for
 from heliograph.slam.store import KeyframeStore
 from heliograph.slam.wheels import WheelFactors
@@ -34,7 +35,7 @@ from heliograph.snapshots import PART, Snapshot, require
 __all__ = ["BackEnd", "GraphUpdate"]
 
 X, B = Symbol("X"), Symbol("B")
-_PARTS = ("chain", "ledger", "fixes", "wheels", "_steps", "_search")
+_PARTS = ("chain", "ledger", "fixes", "wheels", "_steps", "_search", "_second_look")
 _STATE = {
     "smoother": {str: (str, {str: np.ndarray})},
     "parts": {str: PART},
@@ -111,6 +112,7 @@ class BackEnd:
         self.wheels = WheelFactors(config)
         self._steps = StepLog(config, self.wheels)
         self._search = LoopSearch(store, self.chain, config.slam, config.places, config.loops)
+        self._second_look = SecondLook()
         self._waiting: deque[int] = deque()  # keyframes at which loops are still to be looked for
         self._query: OpenQuery | None = None  # the one that is being looked at
         self._search_of_query: Iterator[None] = iter(())  # its search
@@ -196,8 +198,14 @@ class BackEnd:
             query.at += 1
             if changed[-1].decision.verdict != "rejected":
                 break
+        else:
+            if query.candidates:
+                self._second_look.refused(query.index)
         if query.at:
+            before = set(self._in_force)
             self._news.loops += self._enforce()  # (8) smooth with the accepted, take back what the solution contradicts
+            if set(self._in_force) - before:  # the way is known better now
+                self._waiting.extend(self._second_look.due())
 
     def snapshot(self) -> Snapshot:
         """Return all that the next keyframes depend on but for the keyframes themselves, which are in the store."""

@@ -1,5 +1,6 @@
 """The back-end on walks whose odometry drifts: it closes what was walked twice, and nothing else."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from tests.slam_worlds import drifting_walk
 from heliograph.config import RunConfig
 from heliograph.lie import se3
 from heliograph.slam import BackEnd, KeyframeStore
+from heliograph.slam.loops import Ledger, LoopDecision
 
 
 def config(**slam):
@@ -81,6 +83,31 @@ def test_search_in_pieces_finds_what_it_finds_at_once(walk, closed, tmp_path):
     for entry in back_end.ledger.accepted():
         off = se3.local(true_relative(walk, entry.evidence), entry.evidence.T_match_query)
         assert np.linalg.norm(off[3:]) < 0.1
+
+
+class Doubting(Ledger):
+    """Refuses all, as odometry knows the way too badly, before a keyframe; then it judges."""
+
+    until = 0
+
+    def add(self, evidence, relative):
+        if evidence.query < self.until and not self.accepted():
+            return (self._enter(evidence, LoopDecision(verdict="rejected", reason="twin")),)
+        return super().add(evidence, relative)
+
+
+def test_keyframes_refused_before_the_way_was_known_are_looked_at_once_more(walk, closed, tmp_path):
+    first = min(entry.evidence.query for entry in closed[0].ledger.accepted())
+    ledger = Doubting(config().loops)
+    ledger.until = first + 6
+    back_end = BackEnd(config(), KeyframeStore.create(tmp_path), ledger=ledger)
+    updates = [*(back_end.add(keyframe) for keyframe in walk.keyframes), back_end.finish()]
+    back_end.store.close()
+    looks = Counter(query for update in updates for query in update.candidates)
+    assert max(looks.values()) == 2  # and no keyframe a third time
+    found = {entry.evidence.query for entry in back_end.ledger.accepted()}
+    assert min(found) < ledger.until and min(found) in {query for query, count in looks.items() if count == 2}
+    assert np.linalg.norm(walk.error(back_end.T_map_imu)) < 2.0 * walk.error(closed[0].T_map_imu) + 0.02
 
 
 def test_how_far_loops_moved_is_seen_from_the_first_keyframe(closed):

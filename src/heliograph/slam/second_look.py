@@ -1,0 +1,36 @@
+"""Keyframes at which no loop was found while odometry knew too little, looked at once more when a loop tells the way."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from heliograph.snapshots import Stateful
+
+__all__ = ["SecondLook"]
+
+_KEPT = 64  # latest keyframes that are remembered: about as far back as one loop tells the way
+
+
+class SecondLook(Stateful):
+    """Keyframes whose candidates were all refused.
+
+    Most are refused because odometry cannot tell a place from its twin. The first loop that is believed can: then those
+    before it are looked at again, each once, from where the graph has them now.
+    """
+
+    _STATE: ClassVar = {"_refused": [int], "_again": [int]}
+
+    def __init__(self) -> None:
+        self._refused: list[int] = []
+        self._again: list[int] = []
+
+    def refused(self, query: int) -> None:
+        """Take note of a keyframe whose candidates were all refused; it is forgotten if that was its second look."""
+        if query not in self._again:
+            self._refused = [*self._refused, query][-_KEPT:]
+
+    def due(self) -> list[int]:
+        """Return the keyframes to be looked at again, as a loop was accepted elsewhere, in their order."""
+        due, self._refused = sorted(self._refused), []
+        self._again = [*self._again, *due][-4 * _KEPT :]
+        return due
