@@ -30,7 +30,7 @@ __all__ = ["align"]
 
 Array = NDArray[np.float64]
 _ROTATION_TOLERANCE = 1e-3
-_SHARE_OF = 3  # where not all elements are matched, the overlap is taken of so many times fewer
+_SHARE_OF = 3  # where not all elements are matched, a third of those tells the overlap
 
 
 def align(

@@ -1,4 +1,4 @@
-"""Keyframes at which no loop was found while odometry knew too little, looked at once more when a loop tells the way."""
+"""Keyframes at which no loop was found as odometry knew too little: one more look when a loop tells the way."""
 
 from __future__ import annotations
 
