@@ -1,6 +1,7 @@
 """Heliograph as a ROS 2 node: python examples/ros2_node.py --ros-args -r points:=/os/points -r imu:=/os/imu."""
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
@@ -9,8 +10,6 @@ from heliograph.data import NavState, Rig
 from heliograph.io import LiveScans, cloud_of_message, sample_of_message
 from heliograph.lie import so3
 from heliograph.odometry import LiveOdometry, make_odometry
-
-T_IMU_LIDAR = np.eye(4)  # the mounting of yours
 
 
 class Bridge:
@@ -35,25 +34,26 @@ class Bridge:
 def main() -> None:
     import rclpy
     from nav_msgs.msg import Odometry
+    from rclpy.executors import ExternalShutdownException
     from sensor_msgs.msg import Imu, PointCloud2
 
     rclpy.init()
-    node = rclpy.create_node("heliograph")
-    publisher = node.create_publisher(Odometry, "odometry", 50)
-    log, rig = node.get_logger(), Rig(T_imu_lidar=T_IMU_LIDAR, source="this script")
-    bridge = Bridge(rig, lambda result: log.info(f"scan {result.index} {result.status}"))
+    publisher = (node := rclpy.create_node("heliograph")).create_publisher(Odometry, "odometry", 50)
+    rig = Rig(T_imu_lidar=np.eye(4), source="this script")  # the mounting of yours
+    bridge = Bridge(rig, lambda result: node.get_logger().info(f"scan {result.index} {result.status}"))
 
     def on_imu(message: Imu) -> None:
         if (state := bridge.on_imu(message)) is not None:
-            out = Odometry(header=message.header, child_frame_id=message.header.frame_id)
-            out.header.frame_id, pose = "odom", out.pose.pose
+            out = Odometry(child_frame_id=message.header.frame_id)
+            out.header.stamp, out.header.frame_id, pose = message.header.stamp, "odom", out.pose.pose
             (p := pose.position).x, p.y, p.z = state.p_odom.tolist()
             (q := pose.orientation).x, q.y, q.z, q.w = so3.to_quaternion(state.R_odom_imu).tolist()
             publisher.publish(out)
 
     node.create_subscription(Imu, "imu", on_imu, 1000)
     node.create_subscription(PointCloud2, "points", bridge.on_points, 10)
-    rclpy.spin(node)
+    with suppress(KeyboardInterrupt, ExternalShutdownException), bridge.live:  # what has come is finished
+        rclpy.spin(node)
 
 
 if __name__ == "__main__":

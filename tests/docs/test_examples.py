@@ -5,7 +5,9 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -197,6 +199,77 @@ def test_ros2_node_runs_on_a_recorded_stream_without_ros(short_recording, monkey
     assert len(statuses) >= 38
     assert set(statuses[1:]) == {"tracked"}
     assert bridge.live.pose().stamp_ns >= results[-1].end_ns
+
+
+def _ros_stand_in(messages, heard):
+    """Modules with the names that a node imports: spinning plays recorded messages to who subscribed, then Ctrl-C."""
+
+    class Node:
+        def __init__(self, name):
+            self.callbacks = {}
+
+        def create_publisher(self, kind, topic, depth):
+            return SimpleNamespace(publish=heard.append)
+
+        def create_subscription(self, kind, topic, callback, depth):
+            self.callbacks[kind] = callback
+
+        def get_logger(self):
+            return SimpleNamespace(info=heard.append)
+
+    def odometry(child_frame_id):
+        pose = SimpleNamespace(position=SimpleNamespace(), orientation=SimpleNamespace())
+        return SimpleNamespace(header=SimpleNamespace(), pose=SimpleNamespace(pose=pose), child_frame_id=child_frame_id)
+
+    def spin(node):
+        """A recorded stream has no pace: this one waits for the start, which takes a second of messages."""
+        clouds, patience = 0, time.monotonic() + 60.0
+        for message in messages:
+            kind = type(message).__name__.split("__")[-1]
+            node.callbacks[kind](message)
+            clouds += kind == "PointCloud2"
+            while sum(isinstance(h, str) for h in heard) < clouds - 15 and time.monotonic() < patience:
+                time.sleep(0.002)
+        raise KeyboardInterrupt
+
+    modules = {
+        "rclpy": {"init": lambda: None, "create_node": Node, "spin": spin},
+        "rclpy.executors": {"ExternalShutdownException": type("ExternalShutdownException", (Exception,), {})},
+        "nav_msgs.msg": {"Odometry": odometry},
+        "sensor_msgs.msg": {"Imu": "Imu", "PointCloud2": "PointCloud2"},
+    }
+    found = {"nav_msgs": ModuleType("nav_msgs"), "sensor_msgs": ModuleType("sensor_msgs")}
+    for name, contents in modules.items():
+        found[name] = ModuleType(name)
+        vars(found[name]).update(contents)
+    return found
+
+
+def test_ros2_node_publishes_poses_at_the_rate_of_the_imu_and_ends_when_interrupted(short_recording, monkeypatch):
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    monkeypatch.syspath_prepend(EXAMPLES)
+    import ros2_node
+
+    with AnyReader([short_recording], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        messages = [
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages()
+            if connection.msgtype.endswith(("/PointCloud2", "/Imu"))
+        ]
+    heard = []
+    for name, module in _ros_stand_in(messages, heard).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    ros2_node.main()
+    lines, poses = [h for h in heard if isinstance(h, str)], [h for h in heard if not isinstance(h, str)]
+    assert any("tracked" in line for line in lines)
+    assert len(poses) > 2 * len(lines)
+    imu = {(m.header.stamp.sec, m.header.stamp.nanosec) for m in messages if hasattr(m, "angular_velocity")}
+    assert {(p.header.stamp.sec, p.header.stamp.nanosec) for p in poses} <= imu
+    orientation = poses[-1].pose.pose.orientation
+    assert np.linalg.norm([orientation.x, orientation.y, orientation.z, orientation.w]) == pytest.approx(1.0)
+    assert poses[-1].header.frame_id == "odom" and poses[-1].child_frame_id
 
 
 @pytest.fixture(scope="module")
