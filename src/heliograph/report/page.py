@@ -68,7 +68,7 @@ def page(record: RunRecord, pictures: MapPictures | None) -> str:
     """Return the report as one HTML document without references to anything outside it."""
     name = escape(record.name)
     style = files("heliograph.report").joinpath("style.css").read_text(encoding="utf-8")
-    turned, scripts = scene(record)
+    turned, scripts = scene(record, None if pictures is None else pictures.ceiling)
     body = "".join(
         (
             header(record),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import freeze
 from heliograph.report.colors import GROUND, scale
 
-__all__ = ["Raster", "View", "color_image", "render", "side_view", "top_view"]
+__all__ = ["Raster", "View", "color_image", "extent", "render", "side_view", "top_view"]
 
 _T = TypeVar("_T", bound=np.generic)
 _MAX_WIDTH, _MAX_HEIGHT = 1440, 900
@@ -85,7 +85,7 @@ class Raster:
 
 def top_view(points: NDArray[np.float32], path: NDArray[np.float64], *, max_width: int = _MAX_WIDTH) -> View:
     """Return the view from above, its longer side lying, that holds the path and all but the outlying points."""
-    low, high = _extent(points, path)
+    low, high = extent(points, path)
     if high[0] - low[0] >= high[1] - low[1]:
         axes, labels = np.eye(3), ("x", "y")
     else:  # a quarter turn: x up, y left
@@ -95,7 +95,7 @@ def top_view(points: NDArray[np.float32], path: NDArray[np.float64], *, max_widt
 
 def side_view(points: NDArray[np.float32], path: NDArray[np.float64], top: View) -> View:
     """Return the view from the side that lies under `top_view`'s: the same axis runs right, z up."""
-    low, high = _extent(points, path)
+    low, high = extent(points, path)
     right, up = top.axes[0], np.array([0.0, 0.0, 1.0])
     axes = np.stack([right, up, np.cross(right, up)])
     # Some sky over a wide flat scene: a strip of a few pixels shows nothing, and the names need room.
@@ -106,7 +106,7 @@ def side_view(points: NDArray[np.float32], path: NDArray[np.float64], top: View)
     return _view(axes, (top.labels[0], "z"), low, high, top.shape[1], _MAX_HEIGHT // 2, pixel=top.pixel)
 
 
-def _extent(points: NDArray[np.float32], path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def extent(points: NDArray[np.float32], path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the corners of a box around the path, and around the inner 99 % of the points as far as they are near it.
 
     What is seen through a door, far off, is left out: the picture is of where the path is.

@@ -32,8 +32,9 @@ part("scene").addEventListener("toggle", () => {
     line(data.rings, "3 sigma", css("--c3"), 2),
     line(data.loops, "loops", css("--c5"), 3, "dot"),
   ];
+  const far = place.clientWidth < 600 ? 1.5 : 1; // a narrow window sees less to the sides
   Plotly.newPlot(place, traces, {
     margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: "rgba(0,0,0,0)", showlegend: false, font: { family: "inherit" },
-    scene: { aspectmode: "data", xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), camera: { eye: { x: 0.1, y: -1.0, z: 1.1 } } },
+    scene: { aspectmode: "data", xaxis: axis("x"), yaxis: axis("y"), zaxis: axis("z"), camera: { eye: { x: 0.1 * far, y: -1.35 * far, z: 1.25 * far }, center: { x: 0, y: 0, z: -0.15 } } },
   }, { displaylogo: false, responsive: true, displayModeBar: false });
 });

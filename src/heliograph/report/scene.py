@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from heliograph.output.record import RunRecord
 from heliograph.report.colors import HEIGHT
+from heliograph.report.raster import extent
 
 __all__ = ["loop_lines", "scene"]
 
@@ -22,7 +23,7 @@ _ELLIPSES = 12
 _SIGMAS = 3.0
 
 
-def scene(record: RunRecord) -> tuple[str, str]:
+def scene(record: RunRecord, ceiling: float | None = None) -> tuple[str, str]:
     """Return the section with the view and the scripts that end the page; nothing without plotly, or without a map.
 
     The library's script is the installed package's own, kept as text in the page and run when the view is opened: a
@@ -32,11 +33,13 @@ def scene(record: RunRecord) -> tuple[str, str]:
     ----------
     record : RunRecord
         A finished run.
+    ceiling : float, optional
+        Height above which points hide the way, and are left out [m].
     """
     library = _library()
     if library is None or not len(record.points_map) or not len(record.scans):
         return "", ""
-    data = json.dumps(_traces(record), separators=(",", ":"), allow_nan=False)
+    data = json.dumps(_traces(record, ceiling), separators=(",", ":"), allow_nan=False)
     script = files("heliograph.report").joinpath("scene.js").read_text(encoding="utf-8")
     section = (
         '<section><details id="scene"><summary>The map in three dimensions, to be turned</summary>'
@@ -58,13 +61,14 @@ def _library() -> str | None:
         return None
 
 
-def _traces(record: RunRecord) -> dict[str, Any]:
-    stride = -(-len(record.points_map) // MAX_POINTS)
+def _traces(record: RunRecord, ceiling: float | None) -> dict[str, Any]:
     path = record.scans.triple("position")
     every = max(-(-len(path) // _MAX_PATH), 1)
-    low, high = _box(record.points_map, path)
-    points = record.points_map[::stride]
-    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    low, high = extent(record.points_map, path)  # of the map's pictures: what is seen far off must not shrink the rest
+    if ceiling is not None:
+        high[2] = max(ceiling, float(path[:, 2].max()))
+    near = np.flatnonzero(((record.points_map >= low) & (record.points_map <= high)).all(axis=1))
+    points = record.points_map[near[:: -(-max(len(near), 1) // MAX_POINTS)]]
     return {
         "points": [_packed(column) for column in points.T],
         "colors": [[i / (len(HEIGHT) - 1), color] for i, color in enumerate(HEIGHT)],
@@ -73,12 +77,6 @@ def _traces(record: RunRecord) -> dict[str, Any]:
         "rings": [_packed(column) for column in _rings(path, record.scans.triple("sigma_position")).T],
         "loops": [_packed(column) for column in loop_lines(record).T],
     }
-
-
-def _box(points: NDArray[np.float32], path: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return a box around the path and the inner 99.8 % of the points: one stray return must not shrink all else."""
-    low, high = np.percentile(points[:: max(len(points) // 200_000, 1)], [0.1, 99.9], axis=0)
-    return np.minimum(low, path.min(axis=0)), np.maximum(high, path.max(axis=0))
 
 
 def _packed(values: NDArray[Any]) -> dict[str, str]:

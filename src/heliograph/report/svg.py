@@ -15,7 +15,7 @@ from heliograph.report.hover import hover_attributes
 
 __all__ = ["Axis", "Line", "Span", "line_chart", "nice_ticks", "number", "polyline", "round_length", "text"]
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 12, 36
+_LEFT, _RIGHT, _TOP, _BOTTOM = 74, 14, 12, 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
