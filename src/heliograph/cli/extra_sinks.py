@@ -39,6 +39,24 @@ class ExtraSinks:
             typer.echo(f"note: {line}", err=True)
 
 
+def tell_port(screen: Screen) -> None:
+    """Say which port the viewer's window took, where it was not the usual one."""
+    from heliograph.viewer.screen import PORT
+
+    if screen.port not in (None, PORT):
+        typer.echo(f"port {PORT} is in use; the viewer takes {screen.port}", err=True)
+
+
+def end_screen(screen: Screen) -> None:
+    """Close a screen; that its window is gone is told, and ends nothing."""
+    from heliograph.errors import HeliographError
+
+    try:
+        screen.close()
+    except HeliographError as error:
+        typer.echo(f"note: {error}", err=True)
+
+
 @contextmanager
 def extra_sinks(name: str, *, view: bool, rrd: Path | None, dump_scans: Path | None) -> Iterator[ExtraSinks]:
     """Yield the sinks that options ask for, opened before the work begins; close the screen behind it."""
@@ -51,9 +69,10 @@ def extra_sinks(name: str, *, view: bool, rrd: Path | None, dump_scans: Path | N
         from heliograph.viewer import LiveView, Screen
 
         extra.screen = Screen(name, file=rrd, window=view)
+        tell_port(extra.screen)
         extra.sinks.append(LiveView(extra.screen))
     try:
         yield extra
     finally:
         if extra.screen is not None:
-            extra.screen.close()
+            end_screen(extra.screen)

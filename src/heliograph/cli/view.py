@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from heliograph.cli.activity import stage
+from heliograph.cli.extra_sinks import end_screen, tell_port
 
 __all__ = ["view"]
 
@@ -28,10 +29,14 @@ def view(
     stage("showing the run")
     read_account(folder)  # what is no run is told before a window opens
     screen = Screen(folder.resolve().name, file=rrd, window=rrd is None)
+    tell_port(screen)
     try:
         missing = show_run(folder, screen, residuals=not no_residuals)
-    finally:
-        screen.close()
+    except BaseException:
+        end_screen(screen)
+        raise
+    stage("handing over to the viewer")
+    screen.close()
     for line in missing:
         typer.echo(f"note: {line}", err=True)
     if rrd is not None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,7 +15,7 @@ from numpy.typing import NDArray
 from heliograph.errors import MissingDependencyError, OutputError
 from heliograph.lie import so3
 
-__all__ = ["HEIGHT", "RESIDUAL", "TIME", "Screen", "colored"]
+__all__ = ["HEIGHT", "PORT", "RESIDUAL", "TIME", "Screen", "check_display", "colored", "free_port"]
 
 TIME = "time"
 """Name of the time line: the recording's own clock."""
@@ -21,6 +24,9 @@ HEIGHT: Scale = ((47, 95, 179), (43, 147, 184), (53, 181, 151), (134, 207, 106),
 """Colours from low to high, ordered in lightness up to the last."""
 RESIDUAL: Scale = ((49, 120, 198), (70, 176, 123), (245, 184, 61), (229, 72, 77))
 """Colours from none to large."""
+PORT = 9876
+"""First port that a window listens on."""
+_PORTS_TRIED, _PATIENCE = 20, 20.0  # [s]
 _EXTRA = "the viewer needs rerun-sdk; install it with `pip install 'heliograph[view]'`"
 
 
@@ -43,21 +49,23 @@ class Screen:
     file : Path, optional
         A ``.rrd`` to write; shared, it opens with `rerun FILE`.
     window : bool
-        Open the viewer.
+        Open the viewer, on the first port that is free from 9876 on.
 
     Raises
     ------
     MissingDependencyError
         Without the extra ``view``.
     OutputError
-        The file cannot be written, or no viewer starts.
+        The file cannot be written, there is no display, or no viewer starts.
     """
 
     def __init__(self, name: str, *, file: Path | None = None, window: bool = False) -> None:
+        os.environ.setdefault("RUST_LOG", "off")  # what goes wrong comes back as an exception, and is told in our words
         try:
             import rerun
         except ImportError:
             raise MissingDependencyError(_EXTRA) from None
+        self.port: int | None = None
         self._rr: Any = rerun
         self._stream = rerun.RecordingStream("heliograph", send_properties=False)
         sinks: list[Any] = []
@@ -69,8 +77,10 @@ class Screen:
                     pass  # Rerun writes in a thread of its own, where a path that cannot be written goes unheard
                 sinks.append(rerun.FileSink(str(file)))
             if window:
-                rerun.spawn(connect=False)
-                sinks.append(rerun.GrpcSink())
+                check_display()
+                self.port = free_port()
+                rerun.spawn(port=self.port, connect=False, recording=self._stream, executable_path=_viewer_program())
+                sinks.append(rerun.GrpcSink(f"rerun+http://127.0.0.1:{self.port}/proxy"))
         except (OSError, RuntimeError) as error:
             raise OutputError(f"the viewer does not open ({error}); write a file with --rrd FILE instead") from error
         self._stream.set_sinks(*sinks)
@@ -159,6 +169,53 @@ class Screen:
         self._stream.log(place, self._rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def close(self) -> None:
-        """Hand over all that has not gone out yet."""
-        self._stream.flush()
-        self._stream.disconnect()
+        """Hand over all that has not gone out yet.
+
+        Raises
+        ------
+        OutputError
+            The window was closed meanwhile, or never came up.
+        """
+        try:
+            self._stream.flush(timeout_sec=_PATIENCE)
+        except (RuntimeError, ValueError) as error:
+            raise OutputError(
+                "the viewer's window is gone: not all was shown; `heliograph view RUN` shows it"
+            ) from error
+        finally:
+            self._stream.disconnect()
+
+
+def check_display() -> None:
+    """Raise `OutputError` where no window can open; a viewer without a screen would end as soon as it starts."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise OutputError(
+            "there is no display to open a window on (neither DISPLAY nor WAYLAND_DISPLAY is set); write a file with "
+            "--rrd FILE and open it elsewhere with `rerun FILE`"
+        )
+
+
+def free_port(first: int = PORT) -> int:
+    """Return the first port that nobody listens on.
+
+    Raises
+    ------
+    OutputError
+        None of twenty is free.
+    """
+    for port in range(first, first + _PORTS_TRIED):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as trial:
+            try:
+                trial.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+            return port
+    raise OutputError(
+        f"no port from {first} to {first + _PORTS_TRIED - 1} is free for the viewer; close one of its windows"
+    )
+
+
+def _viewer_program() -> str | None:
+    """Return the program that the package brings: it need not be on the path of whoever calls ours by its full name."""
+    beside = Path(sys.executable).with_name("rerun.exe" if sys.platform == "win32" else "rerun")
+    return str(beside) if beside.is_file() else None

@@ -1,15 +1,19 @@
 """The viewer: the file to share, read back by Rerun's own reader, and what is said where there is nothing."""
 
 import json
+import os
 import shutil
+import socket
 import sys
 
 import numpy as np
 import pytest
 
+from heliograph.cli.extra_sinks import tell_port
 from heliograph.cli.main import main
 from heliograph.sim import SCENARIOS
 from heliograph.sim.write import write_recording
+from heliograph.viewer.screen import Screen, free_port
 
 rerun_chunk = pytest.importorskip("rerun.chunk", reason="the viewer needs the extra `view`")
 
@@ -108,3 +112,49 @@ def test_view_of_a_run_without_map_or_graph_shows_the_rest_and_says_so(made, tmp
     said = capsys.readouterr().err
     assert "holds no map" in said and "no keyframes, loops or graph" in said
     assert "/map/trajectory" in contents(tmp_path / "x.rrd")
+
+
+def test_without_a_display_a_window_is_refused_in_one_line_before_the_work(made, tmp_path, monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    for command in (["view", str(made / "run")], ["run", str(made / "drive"), "-o", str(tmp_path / "out"), "--view"]):
+        assert main(command) == 2
+        said = capsys.readouterr().err
+        assert "there is no display" in said and "--rrd FILE" in said and said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_window_is_opened_on_a_free_port_by_the_packages_own_program(monkeypatch, capsys):
+    import rerun
+
+    asked = {}
+    monkeypatch.setenv("DISPLAY", ":9")
+    monkeypatch.setattr(rerun, "spawn", lambda **options: asked.update(options))
+    monkeypatch.setattr(rerun, "GrpcSink", lambda address: asked.update(address=address) or rerun.FileSink(os.devnull))
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        monkeypatch.setattr("heliograph.viewer.screen.PORT", port)
+        monkeypatch.setattr("heliograph.viewer.screen.free_port", lambda: free_port(port))
+        screen = Screen("x", window=True)
+        tell_port(screen)
+    assert asked["port"] == screen.port and port < screen.port <= port + 19
+    assert f":{screen.port}/" in asked["address"] and f"port {port} is in use" in capsys.readouterr().err
+    # Without its recording, Rerun takes itself for switched off and opens nothing.
+    assert isinstance(asked["recording"], rerun.RecordingStream)
+    screen.close()
+
+
+def test_window_that_is_closed_meanwhile_costs_a_run_nothing(made, tmp_path, monkeypatch, capsys):
+    def gone(*_, **__):
+        raise RuntimeError("gRPC has been unable to connect")
+
+    monkeypatch.setattr("rerun.RecordingStream.flush", gone)
+    options = ["-o", str(tmp_path / "run"), "--duration", "2", "--no-graph", "--rrd", str(tmp_path / "x.rrd")]
+    assert main(["run", str(made / "drive"), *options]) == 0
+    out, err = capsys.readouterr()
+    assert "status: " in out and "note: the viewer's window is gone" in err
+    assert main(["view", str(made / "run"), "--rrd", str(tmp_path / "y.rrd"), "--no-residuals"]) == 2
+    assert "window is gone" in capsys.readouterr().err
