@@ -175,6 +175,7 @@ class Account:
             sensors=sensors,
             held=tally.held,
             against_imu=tally.against_imu,
+            unsteady=tally.unsteady,
             interrupted=self.interrupted,
             blind=blind,
             budget=config.check.max_blind_growth,

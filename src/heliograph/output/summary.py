@@ -141,6 +141,7 @@ def judge(
     sensors: Iterable[str],
     held: int = 0,
     against_imu: int = 0,
+    unsteady: int = 0,
     interrupted: bool = False,
     blind: Iterable[BlindSpan] = (),
     budget: float = 0.0,
@@ -158,6 +159,8 @@ def judge(
         Scans that no IMU sample reached to the end of.
     against_imu : int
         Scans whose match moved the pose otherwise than the IMU allows.
+    unsteady : int
+        Scans within which the motion was no steady one, without an IMU to tell it.
     interrupted : bool
         Whether the run ended early; a reason, not a verdict on the part that was done.
     blind : iterable of BlindSpan
@@ -201,6 +204,12 @@ def judge(
             f"whether it is the IMU, else places that look alike were taken for one another"
         )
         degraded.append(Reason("against-imu", text))
+    if unsteady / total >= DEGRADED_SHARE:
+        text = (
+            f"velocity or rate changed within {unsteady / total:.0%} of the sweeps by more than matching forgives, and no "
+            f"IMU tells how: poses at their ends are off by the sigmas in scans.csv, and the map is blurred"
+        )
+        degraded.append(Reason("unsteady", text))
     status = "lost" if lost else "degraded" if degraded else "ok"
     early = (Reason("interrupted", "interrupted: the result covers the part that was read"),) if interrupted else ()
     return status, (*lost, *degraded, *early)
@@ -250,6 +259,7 @@ class Tally(Stateful):
         "statuses": {str: int},
         "held": int,
         "against_imu": int,
+        "unsteady": int,
         "stage_totals": {str: float},
         "distance": float,
         "weakest": fixed(float, array(np.float64, 3), int),
@@ -267,6 +277,7 @@ class Tally(Stateful):
         self.statuses: dict[str, int] = {}
         self.held = 0
         self.against_imu = 0
+        self.unsteady = 0
         self.stage_totals: dict[str, float] = {}
         self.distance = 0.0
         self.weakest = (float("nan"), np.zeros(3), -1)
@@ -297,6 +308,7 @@ class Tally(Stateful):
         self.blind.add(result)
         self.held += any(event.code == "imu-held" for event in result.events)
         self.against_imu += any(event.code == "match-against-imu" for event in result.events)
+        self.unsteady += any(event.code == "unsteady-sweep" for event in result.events)
         self.add_events(result.events)
 
     def gap(self, final: FinalPoses) -> float:

@@ -17,6 +17,7 @@ from heliograph.data import ImuBatch, NavState, OnlineCalibration, Scan, ScanRes
 from heliograph.data.error_layout import POSE, POSE_DIM
 from heliograph.imu import ImuPath
 from heliograph.maps import LocalMap, VoxelMap
+from heliograph.odometry.filter.bending import CLOUD_BENT
 from heliograph.odometry.filter.calibrating import CalibrationTerms, FixedCalibration, calibration_of
 from heliograph.odometry.filter.drift import MapDrift
 from heliograph.odometry.filter.map_keeper import MapKeeper
@@ -195,10 +196,11 @@ class FilterCore(Stateful):
         # A scan that was found again after a silence waits for others to bear it out: it enters no map.
         if self._keeper.empty or (fit is not None and not (sought or self.holds_map)):
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
-            # What did not settle ties no new ground to the frame; the next scan that does, ties it.
-            tied = seen if fit is not None and (fit.converged or self._motion.inertial) else None
-            matched = self._matcher.matched(points_imu, picked) if tied is not None else None
-            posterior = self._keeper.extend(points_imu, pose, posterior, tied, matched)  # (9)
+            matched = self._matcher.matched(points_imu, picked) if seen is not None else None
+            converged = fit is None or fit.converged
+            posterior = self._motion.loosened(posterior, prior, CLOUD_BENT, converged=converged)
+            posterior = self._keeper.extend(points_imu, pose, posterior, seen, matched)  # (9)
+            posterior = self._motion.loosened(posterior, prior, 1.0 - CLOUD_BENT, converged=converged)
         watch.lap("map")
 
         if fit is not None or self._count == 0:
@@ -252,9 +254,11 @@ class FilterCore(Stateful):
         self._calibration.learn(fit.measurement)
         self._keeper.updated(fit.retained)
         seconds = float(path.stamps_ns[-1] - path.stamps_ns[0]) * 1e-9
-        sweep = float(before_end.max(initial=0.0))
-        state = self._motion.settled(prior, fit.state, converged=fit.converged, seconds=seconds, sweep=sweep)
-        return replace(fit, state=state)
+        bend = None
+        if not self._motion.inertial:
+            bend = self._matcher.bend(points_at(fit.state), before_end, fit.state, self.map)
+        self._motion.learn(prior, fit.state, seconds=seconds, bend=bend)
+        return replace(fit, bend=bend)
 
     def _place_again(
         self,

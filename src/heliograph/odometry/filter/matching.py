@@ -16,6 +16,7 @@ from heliograph.data import NavState
 from heliograph.data.error_layout import GYRO_BIAS, POSITION, ROTATION, VELOCITY
 from heliograph.imu import ErrorGrowth
 from heliograph.maps import LocalMap
+from heliograph.odometry.filter.bending import SweepBend, sweep_bend
 from heliograph.odometry.filter.calibrating import CalibrationTerms
 from heliograph.odometry.filter.error_state import mounting_error
 from heliograph.odometry.filter.innovation import InnovationTest
@@ -40,6 +41,7 @@ _MOTION_DIM = GYRO_BIAS.stop  # errors of pose and motion
 # [0, 1], and of that fitted to the integral of one.
 _TURNED_LINE = (2.0 / 15.0, -1.0 / 10.0, 6.0 / 5.0)
 _MOVED_LINE = (1.0 / 105.0, -11.0 / 210.0, 13.0 / 35.0)
+_BENT_SCALES = 3.0  # final kernels that the kernel spans which looks at how bent a sweep is
 _SCALE_ITERATIONS = 4  # an iterated update stays no longer at one scale of its kernel
 
 
@@ -241,9 +243,32 @@ class ScanMatcher(Stateful):
 
     def matched(self, points_imu: NDArray[np.float32], picked: NDArray[np.int32]) -> MatchedPoints:
         """Return how the picked ones of a scan's points were matched at last."""
-        scale = self._config.kernel * self.noise.sigma
-        settings = MatchSettings(gate=self._config.gate * scale, kernel=scale, sigma=self.noise.sigma)
-        return MatchedPoints(points_imu=points_imu[picked], settings=settings)
+        return MatchedPoints(points_imu=points_imu[picked], settings=self._final(1.0))
+
+    def _final(self, times: float) -> MatchSettings:
+        """Return how matches are made at last, with a kernel so many times as wide."""
+        scale = times * self._config.kernel * self.noise.sigma
+        return MatchSettings(
+            gate=self._config.gate * scale, kernel=scale, sigma=self.noise.sigma, threads=self._threads
+        )
+
+    def bend(
+        self,
+        points_imu: NDArray[np.float32],
+        before_end: NDArray[np.float32],
+        state: NavState,
+        local_map: LocalMap,
+    ) -> SweepBend:
+        """Return how far a sweep is bent from the motion that its points were de-skewed with, at its fitted state."""
+        return sweep_bend(
+            points_imu,
+            before_end,
+            state,
+            local_map,
+            self._final(_BENT_SCALES),
+            correlation=self._config.correlation,
+            forgiven=self._final(1.0).gate,
+        )
 
     def match(
         self,

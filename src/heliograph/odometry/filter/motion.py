@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array
 from heliograph.config import FilterConfig, ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState
-from heliograph.data.error_layout import NAV, ROTATION
+from heliograph.data.error_layout import GYRO_BIAS, NAV, POSITION, ROTATION, VELOCITY
 from heliograph.imu import ImuPath, Prediction, predict
 from heliograph.lie import so3
+from heliograph.odometry.filter.bending import SweepBend
+from heliograph.odometry.filter.error_state import local
 from heliograph.odometry.filter.unsteadiness import Unsteadiness
 from heliograph.snapshots import Stateful
 
@@ -125,29 +127,32 @@ class MotionModel(Stateful):
         P[ROTATION, ROTATION] = tilt * np.eye(3) + (about - tilt) * np.outer(along, along)
         return replace(ahead, R_odom_imu=R, covariance=P)
 
-    def settled(
-        self, prior: NavState, posterior: NavState, *, converged: bool, seconds: float, sweep: float
-    ) -> NavState:
-        """Return the state after an update, as sure as the motion within the sweep allows, and learn from it.
+    def learn(self, prior: NavState, posterior: NavState, *, seconds: float, bend: SweepBend | None) -> None:
+        """Take in an update, ``seconds`` after the one before: how unsteady the motion was from scan to scan and within."""
+        if not self.inertial:
+            self._unsteadiness = self._unsteadiness.updated(prior, posterior, seconds, bend)
+
+    def loosened(self, state: NavState, prior: NavState, share: float, *, converged: bool) -> NavState:
+        """Return the state after an update, less sure by a share of the variance that unsteady motion leaves.
 
         Parameters
         ----------
-        prior, posterior : NavState
-            Before and after the update.
+        state, prior : NavState
+            After and before the update.
+        share : float
         converged : bool
-            Whether it settled. Without an IMU the motion within the sweep is fitted along; an update that still moves
-            when it ends is followed, but nothing is known better by it.
-        seconds : float
-            Since the update before [s].
-        sweep : float
-            Time from a scan's first point to its last [s].
+            Whether it settled. Without an IMU the motion within the sweep is fitted along; where it is no steady one,
+            that may go to and fro between two minima, and nothing is known better than by what it was corrected.
         """
         if self.inertial:
-            return posterior
-        if not converged:
-            posterior = replace(posterior, covariance=prior.covariance)
-        self._unsteadiness = self._unsteadiness.updated(prior, posterior, seconds)
-        return self._unsteadiness.bent(posterior, sweep)
+            return state
+        state = self._unsteadiness.bent(state, share)
+        if converged:
+            return state
+        corrected, covariance = local(prior, state), state.covariance.copy()
+        for part in (ROTATION, POSITION, VELOCITY, GYRO_BIAS):
+            covariance[part, part] += share * float(corrected[part] @ corrected[part]) / 3.0 * np.eye(3)
+        return replace(state, covariance=covariance)
 
 
 def rate_change(path: ImuPath) -> NDArray[np.float64]:

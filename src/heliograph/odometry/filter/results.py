@@ -71,7 +71,7 @@ def scan_result(
         points_imu=points_imu,
         intensity=outcome.intensity,
         queries=outcome.queries,
-        events=(*_held_events(path, scan), *_innovation_events(fit, scan)),
+        events=(*_held_events(path, scan), *_innovation_events(fit, scan), *_unsteady_events(fit, scan)),
     )
     if fit is None or outcome.seen is None:
         return replace(common, status=_status_without_match(outcome, index, pose_covariance, config))
@@ -159,6 +159,17 @@ def _innovation_events(fit: FilterUpdate[ScanMeasurement] | None, scan: Scan) ->
         f"place that looks like another, a crowd, a shock, or an IMU that is off"
     )
     return (Event(code="match-against-imu", message=text, stamp_ns=scan.stamp_ns),)
+
+
+def _unsteady_events(fit: FilterUpdate[ScanMeasurement] | None, scan: Scan) -> tuple[Event, ...]:
+    if fit is None or fit.bend is None or not fit.bend.beyond_model:
+        return ()
+    text = (
+        f"the motion within a sweep changes by more than one velocity and one rate explain: beginning and end lie "
+        f"{fit.bend.shift:.2f} m apart from where they should, {fit.bend.forgiven:.2f} m are forgiven; without an IMU "
+        f"its pose is known no better - record one, or turn the LiDAR faster"
+    )
+    return (Event(code="unsteady-sweep", message=text, stamp_ns=scan.stamp_ns),)
 
 
 def _trajectory(path: ImuPath) -> Trajectory:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array, freeze
 from heliograph.data import NavState
 from heliograph.data.error_layout import POSE, POSITION, ROTATION
+from heliograph.odometry.filter.bending import SweepBend
 from heliograph.odometry.filter.error_state import local, reset_jacobian, retract
 
 __all__ = ["FilterUpdate", "Linearization", "embedded", "iterated_update", "weighed_less"]
@@ -61,6 +62,8 @@ class FilterUpdate(Generic[L]):
     """Where the measurement was linearised last."""
     excess: float = 0.0
     """How many times too large that is for chance, alone or with the scans before; the measurement weighs less then."""
+    bend: SweepBend | None = None
+    """How unsteady the motion was within the sweep; None where an IMU tells it."""
 
     def __post_init__(self) -> None:
         freeze(self)
