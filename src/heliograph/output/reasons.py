@@ -15,7 +15,7 @@ ACTIONS = {
     "imu-alone": "record the LiDAR too; without it only seconds are of use",
     "imu-held": "check the IMU's clock and gaps with `heliograph check RECORDING --imu`",
     "against-imu": "`heliograph check RECORDING --imu`; else look where like places were taken for one another",
-    "unsteady": "record an IMU, or turn the LiDAR faster: without one, motion that changes within a sweep is not followed",
+    "unsteady": "record an IMU, or let the LiDAR turn faster: motion that changes within a sweep is not followed",
     "interrupted": "run it again with --resume for the rest of the recording",
     "failure": "read `failure`, mend it, and run it again with --resume",
     "other": "read the reason; docs/howto/bad_data.md says what helps",

@@ -206,8 +206,8 @@ def judge(
         degraded.append(Reason("against-imu", text))
     if unsteady / total >= DEGRADED_SHARE:
         text = (
-            f"velocity or rate changed within {unsteady / total:.0%} of the sweeps by more than matching forgives, and no "
-            f"IMU tells how: poses at their ends are off by the sigmas in scans.csv, and the map is blurred"
+            f"velocity or rate changed within {unsteady / total:.0%} of the sweeps by more than matching forgives, and "
+            f"no IMU tells how: poses at their ends are off by the sigmas in scans.csv, and the map is blurred"
         )
         degraded.append(Reason("unsteady", text))
     status = "lost" if lost else "degraded" if degraded else "ok"

@@ -45,6 +45,12 @@ def test_judge_counts_the_scans_whose_match_the_imu_contradicts():
     assert verdict == "degraded" and "contradicts the match of 10%" in reasons[0]
 
 
+def test_judge_counts_the_sweeps_that_outrun_a_model_without_an_imu():
+    assert judge({"tracked": 100}, sensors=("lidar",), unsteady=9)[0] == "ok"
+    verdict, reasons = judge({"tracked": 100}, sensors=("lidar",), unsteady=10)
+    assert verdict == "degraded" and "changed within 10% of the sweeps" in reasons[0]
+
+
 def test_judge_calls_a_run_degraded_that_something_else_speaks_against():
     verdict, reasons = judge({"tracked": 100}, sensors=("lidar",), doubts=("the clouds contradict the poses",))
     assert (verdict, reasons) == ("degraded", ("the clouds contradict the poses",))

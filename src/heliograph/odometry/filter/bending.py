@@ -104,7 +104,9 @@ def sweep_bend(
         chance += weight**2 * correlation * spread
     turn, move = (_beyond_chance(missed[part], chance[part, part]) for part in (ROTATION, POSITION))
     far = float(np.sqrt(np.einsum("ij,ij->", points_imu, points_imu, dtype=np.float64) / len(points_imu)))
-    return SweepBend(turn=turn, move=move, shift=float(np.sqrt(2.0 * (far * turn) ** 2 + 3.0 * move**2)), forgiven=forgiven)
+    return SweepBend(
+        turn=turn, move=move, shift=float(np.sqrt(2.0 * (far * turn) ** 2 + 3.0 * move**2)), forgiven=forgiven
+    )
 
 
 def _own_pose(

@@ -128,7 +128,7 @@ class MotionModel(Stateful):
         return replace(ahead, R_odom_imu=R, covariance=P)
 
     def learn(self, prior: NavState, posterior: NavState, *, seconds: float, bend: SweepBend | None) -> None:
-        """Take in an update, ``seconds`` after the one before: how unsteady the motion was from scan to scan and within."""
+        """Take in an update, ``seconds`` after the one before: how unsteady the motion was between and within."""
         if not self.inertial:
             self._unsteadiness = self._unsteadiness.updated(prior, posterior, seconds, bend)
 
