@@ -118,7 +118,7 @@ def _own_pose(
         sums = linearize(local_map, points_imu, at.T_odom_imu, settings)
         spread = np.linalg.inv(sums.information + prior)
         at = retract(at, np.pad(-spread @ sums.gradient, (0, len(at.covariance) - POSE_DIM)))
-    return local(state, at)[POSE], spread
+    return local(state, at)[POSE], np.asarray(spread, np.float64)
 
 
 def _beyond_chance(missed: Array, chance: Array) -> float:

@@ -246,7 +246,7 @@ class ScanMatcher(Stateful):
         return MatchedPoints(points_imu=points_imu[picked], settings=self._final(1.0))
 
     def _final(self, times: float) -> MatchSettings:
-        """Return how matches are made at last, with a kernel so many times as wide."""
+        """Return how matches are made at last, with a kernel wider by a factor."""
         scale = times * self._config.kernel * self.noise.sigma
         return MatchSettings(
             gate=self._config.gate * scale, kernel=scale, sigma=self.noise.sigma, threads=self._threads

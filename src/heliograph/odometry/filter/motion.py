@@ -132,6 +132,29 @@ class MotionModel(Stateful):
         if not self.inertial:
             self._unsteadiness = self._unsteadiness.updated(prior, posterior, seconds, bend)
 
+    def settled(
+        self, prior: NavState, posterior: NavState, *, converged: bool, seconds: float, sweep: float
+    ) -> NavState:
+        """Return the state after an update whose sweep is not asked how bent it is, and learn from it.
+
+        Parameters
+        ----------
+        prior, posterior : NavState
+            Before and after the update.
+        converged : bool
+            Whether it settled; one that still moves is followed, but nothing is known better by it.
+        seconds : float
+            Since the update before [s].
+        sweep : float
+            Time from a scan's first point to its last [s].
+        """
+        if self.inertial:
+            return posterior
+        if not converged:
+            posterior = replace(posterior, covariance=prior.covariance)
+        self.learn(prior, posterior, seconds=seconds, bend=None)
+        return self._unsteadiness.smoothly_bent(posterior, sweep)
+
     def loosened(self, state: NavState, prior: NavState, share: float, *, converged: bool) -> NavState:
         """Return the state after an update, less sure by a share of the variance that unsteady motion leaves.
 

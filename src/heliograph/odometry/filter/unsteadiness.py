@@ -21,6 +21,7 @@ __all__ = ["Unsteadiness"]
 
 
 _GAIN = 0.1  # weight of the latest scan in the running mean
+_BEND = 1.0 / 105.0  # the integral of `Unsteadiness.smoothly_bent`
 _BOTH = 2.0  # the planes were laid by scans that are bent as this one is
 
 
@@ -61,6 +62,17 @@ class Unsteadiness:
     def allowed(self, least: ImuNoise) -> ImuNoise:
         """Return the noise of the imaginary IMU: at least ``least``, and what has been seen."""
         return replace(least, accel=max(least.accel, self.accel), gyro_walk=max(least.gyro_walk, self.gyro))
+
+    def smoothly_bent(self, state: NavState, sweep: float) -> NavState:
+        """Return the state at the end of a ``sweep`` [s] with what white changes leave where nothing measures them.
+
+        A line fitted to uniform samples of an integrated random walk of density q over a time T misses its end by
+        ``q^2 T^3 int_0^1 (u^2 - u^3)^2 du``.
+        """
+        covariance = state.covariance.copy()
+        covariance[ROTATION, ROTATION] += _BEND * self.gyro**2 * sweep**3 * np.eye(3)
+        covariance[POSITION, POSITION] += _BEND * self.accel**2 * sweep**3 * np.eye(3)
+        return replace(state, covariance=covariance)
 
     def bent(self, state: NavState, share: float = 1.0) -> NavState:
         """Return the state at a sweep's end with a share of the variance that bending leaves in its pose."""

@@ -48,6 +48,21 @@ def test_the_model_is_never_allowed_less_than_configured():
     assert (allowed.accel, allowed.gyro_walk) == (7.0, 3.0)
 
 
+def test_bending_that_nothing_measures_is_what_a_line_through_a_random_walk_of_the_rate_misses_at_its_end():
+    rng, steps, T, q = np.random.default_rng(3), 400, 0.1, 2.0
+    dt = T / steps
+    t = dt * np.arange(1, steps + 1)
+    rate = np.cumsum(q * np.sqrt(dt) * rng.normal(size=(4000, steps)), axis=1)
+    angle = np.cumsum(rate, axis=1) * dt
+    line = np.polynomial.polynomial.polyfit(t, angle.T, 1)
+    missed = angle[:, -1] - (line[0] + line[1] * T)
+    state = rest_state()
+    bent = Unsteadiness(gyro=q, accel=0.0).smoothly_bent(state, T)
+    added = (bent.covariance - state.covariance)[:6, :6]
+    np.testing.assert_allclose(np.sqrt(np.diag(added)[:3]), missed.std(), rtol=0.06)
+    np.testing.assert_array_equal(added[3:], 0.0)
+
+
 def test_bending_leaves_its_square_twice_in_the_pose_and_in_nothing_else():
     """Once for the scan, and once for those that laid the planes it is matched to."""
     state = rest_state()
@@ -67,6 +82,18 @@ def test_only_the_constant_velocity_model_learns():
         motion.learn(state, after, seconds=0.1, bend=BENT)
         loose = motion.loosened(after, state, 1.0, converged=True)
         assert (np.trace(loose.covariance) == 0.0) == motion.inertial
+
+
+def test_without_a_look_at_the_sweep_nothing_is_known_better_by_what_does_not_settle():
+    state = replace(rest_state(), covariance=np.eye(17))
+    after = replace(moved(state, np.array([9.0, 0.0, 0.0]), np.zeros(3)), covariance=0.01 * np.eye(17))
+    inertial = MotionModel(ImuConfig(), FilterConfig(), LEAST)
+    assert inertial.settled(state, after, converged=False, seconds=0.1, sweep=0.1) is after
+    alone = MotionModel(ImuConfig(), FilterConfig(), None)
+    vague = alone.settled(state, after, converged=False, seconds=0.1, sweep=0.0)
+    np.testing.assert_array_equal(vague.covariance, state.covariance)
+    known = alone.settled(state, after, converged=True, seconds=0.1, sweep=0.1)
+    assert np.trace(known.covariance) > np.trace(after.covariance)
 
 
 def test_what_does_not_settle_is_known_no_better_than_what_it_was_corrected_by():
