@@ -196,9 +196,7 @@ class SideBySideRun(ExperimentRun):
         scans = max((len(arm.stamps_ns) for arm in self.arms.values()), default=0)
         if self.done:
             return f"The lap is over: {scans} scans through {len(self.arms)} systems.{without}"
-        return (
-            f"{scans} scans through {len(self.arms)} systems; press Auto, the lap takes about half a minute.{without}"
-        )
+        return f"{scans} scans through {len(self.arms)} systems; press Auto, the lap takes a minute or two.{without}"
 
 
 CODE = """

@@ -27,6 +27,7 @@ __all__ = ["EXPERIMENT", "TunnelRun", "eigenvalues_of_the_lesson", "smooth_tunne
 _SEED, _SECONDS = 1, 24.0
 _AXES = ("weakest", "middle", "strongest")
 THRESHOLD = 100.0
+_MAX_RATIO = 1e5  # of eigenvalues: what noise leaves of the weakest says no more
 
 
 def smooth_tunnel(reach: float, speed: float) -> Simulation:
@@ -94,11 +95,12 @@ class TunnelRun(ExperimentRun):
         shares = np.stack([r.eigenvalues_translation for r in self.results])
         now = shares[-1]
         ratio = float(now[2] / now[0]) if now[0] > 0.0 else float("inf")
+        shown: float | str = ratio if ratio < _MAX_RATIO else "over 100 000"
         error = float(estimated[-1] - true[-1])
         blind = sum(r.status == "degenerate" for r in self.results)
         readings = (
             Reading(name="weakest", label="weakest eigenvalue (share)", value=float(now[0]), digits=4),
-            Reading(name="ratio", label="strongest : weakest", value=ratio, digits=0),
+            Reading(name="ratio", label="strongest : weakest", value=shown, digits=0),
             Reading(name="status", label="this scan is", value=last.status),
             Reading(name="blind", label="degenerate so far", value=float(blind), digits=0),
             Reading(name="error", label="off along the tunnel", value=error, unit="m"),
@@ -108,7 +110,7 @@ class TunnelRun(ExperimentRun):
             Chart(
                 name="bars", title="Eigenvalues of this scan's information", x="", y="share", log=True,
                 traces=(ChartTrace(name="", kind="bars", x=_AXES, y=np.maximum(now, 1e-5), color=1),),
-                y_range=(1e-5, 1.0), lines=((1.0 / 3.0, "even in all directions"),),
+                y_range=(1e-5, 3.0), lines=((1.0 / 3.0, "even in all directions"),),
             ),
             Chart(
                 name="shares", title="The same over time", x="time [s]", y="share", log=True, x_range=(0.0, _SECONDS),

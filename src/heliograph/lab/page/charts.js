@@ -29,7 +29,7 @@ function drawn(trace) {
       return { ...common, type: "scatter", mode: "lines+markers", line: { color: paint, width: 3 },
         marker: { color: paint, size: [0, 11, 0] }, hovertemplate: `${trace.name}: %{x:.3f} m<extra></extra>` };
     case "bars":
-      return { ...common, type: "bar", marker: { color: paint }, text: trace.y.map((y) => y.toPrecision(2)), textposition: "auto" };
+      return { ...common, type: "bar", marker: { color: paint }, text: trace.y.map((y) => y.toPrecision(2)), textposition: "inside", insidetextanchor: "middle" };
     case "cloud":
       return { ...common, type: "scatter3d", mode: "markers", z: trace.z,
         marker: { size: 1.6, color: trace.values ?? paint, colorscale: "Viridis" } };
@@ -59,7 +59,7 @@ function layout(chart) {
       ...(chart.equal ? { scaleanchor: "x", scaleratio: 1 } : {}), ...span(chart.y_range, chart.log),
     },
     shapes: chart.lines.map(([y]) => ({ type: "line", xref: "paper", x0: 0, x1: 1, y0: y, y1: y, line: { color: css("--c6"), width: 1, dash: "dot" } })),
-    annotations: chart.lines.map(([y, text]) => ({ xref: "paper", x: 1, xanchor: "right", y: chart.log ? Math.log10(y) : y, yanchor: "bottom", text, showarrow: false })),
+    annotations: chart.lines.map(([y, text]) => ({ xref: "paper", x: 0, xanchor: "left", y: chart.log ? Math.log10(y) : y, yanchor: "bottom", text, showarrow: false, bgcolor: css("--card"), borderpad: 1 })),
   };
 }
 

@@ -219,8 +219,10 @@ function open() {
   at("worked").closest("section")?.toggleAttribute("hidden", experiment.worked.length === 0);
   for (const link of document.querySelectorAll("nav a")) {
     const here = link.getAttribute("href") === `#${experiment.name}`;
-    if (here) link.setAttribute("aria-current", "page");
-    else link.removeAttribute("aria-current");
+    if (here) {
+      link.setAttribute("aria-current", "page");
+      link.scrollIntoView({ block: "nearest", inline: "center" }); // the row is wider than a phone
+    } else link.removeAttribute("aria-current");
   }
   act("begin");
 }
