@@ -14,8 +14,6 @@ from heliograph.lab import EXPERIMENTS
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "lesson.md").read_text()
 _TABLE = [line for line in TEXT.splitlines() if line.startswith("| [")]
 ROWS = [[cell.strip() for cell in line.strip()[1:-1].split("|")] for line in _TABLE]
-    [cell.strip() for cell in line.strip()[1:-1].split("|")] for line in TEXT.splitlines() if line.startswith("| [")
-]
 
 
 def numbers(text):

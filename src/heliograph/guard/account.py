@@ -14,6 +14,8 @@ __all__ = ["read_account"]
 
 _MAX_DEPTH = 50
 _MAX_INTEGER = 1 << 63
+_GENERATION = 1
+"""Number at the end of the schemas; names may be added within one, none changes or goes."""
 
 
 class _Whole(dict[str, Any]):
@@ -68,22 +70,38 @@ def read_account(folder: Path) -> dict[str, Any]:
     Raises
     ------
     FormatError
-        There is none, it is no JSON, nests deeper than any account, holds a number that is none, or something of
-        another type than `run` writes.
+        There is none, it is of another generation of the format, it is no JSON, nests deeper than any account, holds a
+        number that is none, or something of another type than `run` writes.
     """
     path = folder / "run.json"
     try:
         facts = json.loads(
             path.read_text(encoding="utf-8"), parse_float=_number, parse_int=_integer, parse_constant=_refuse
         )
+    except FileNotFoundError as error:
+        raise FormatError(folder, "is no folder of a run (it holds no run.json); name what `run` wrote") from error
     except (OSError, ValueError, RecursionError) as error:
         raise FormatError(folder, f"is no folder of a run (run.json: {error}); name what `run` wrote") from error
+    if isinstance(facts, dict) and (newer := _newer_schema(facts.get("schema"))):
+        raise FormatError(
+            path,
+            f"was written by another version of Heliograph ('{newer}' where this one reads {_GENERATION}); read it "
+            "with that version, or run again with this one",
+        )
     wrong = next(_misfits(facts, _SHAPE, ""), None) if isinstance(facts, dict) else "it"
     if wrong is None and _depth(facts) > _MAX_DEPTH:
         wrong = "its depth"
     if wrong is not None:
         raise FormatError(path, f"is no account of a run ({wrong} is not what `run` writes); run it again")
     return facts  # type: ignore[no-any-return]
+
+
+def _newer_schema(schema: object) -> str:
+    """Return a schema that is not of this generation, cut short; "" for one that is, or that says nothing."""
+    if not isinstance(schema, str) or not schema.startswith("heliograph "):
+        return ""
+    generation = schema.rpartition(" ")[2]
+    return schema[:40] if generation.isdecimal() and int(generation[:9]) != _GENERATION else ""
 
 
 def _number(text: str) -> float:

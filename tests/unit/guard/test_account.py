@@ -56,3 +56,17 @@ def test_what_is_no_json_of_finite_numbers_is_refused(text, tmp_path):
     assert len(str(caught.value)) < 1000
     with pytest.raises(FormatError, match="no folder of a run"):
         read_account(tmp_path / "nowhere")
+
+
+def test_account_of_another_generation_is_told_in_one_line(tmp_path):
+    with pytest.raises(
+        FormatError, match=r"another version of Heliograph \('heliograph run 2' where this one reads 1\)"
+    ):
+        read_account(written(tmp_path, json.dumps({**SOUND, "schema": "heliograph run 2"})))
+    for schema in ("heliograph run 1", "heliograph merge 1"):
+        assert read_account(written(tmp_path, json.dumps({**SOUND, "schema": schema})))
+
+
+def test_folder_without_an_account_says_so(tmp_path):
+    with pytest.raises(FormatError, match=r"it holds no run\.json"):
+        read_account(tmp_path)
