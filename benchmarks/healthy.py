@@ -20,7 +20,7 @@ from heliograph.data import Event, Message, Rig, ScanResult, Trajectory
 from heliograph.metrics import evaluate
 from heliograph.sim import SCENARIOS, Scenario, simulate
 
-__all__ = ["HEALTHY_SCENARIOS", "healthy_section", "measure_healthy"]
+__all__ = ["HEALTHY_SCENARIOS", "InMemory", "Poses", "healthy_section", "measure_healthy"]
 
 _Rows = list[dict[str, Any]]
 
@@ -41,7 +41,7 @@ HEALTHY_SCENARIOS: dict[str, Scenario] = {
 }
 
 
-class _InMemory:
+class InMemory:
     """A simulated recording that can be read again."""
 
     sensors = frozenset({"lidar", "imu"})
@@ -56,19 +56,21 @@ class _InMemory:
         self._messages: list[Message] = list(simulation)
 
     def stream(self) -> Iterator[Message]:
+        """Yield the messages."""
         return iter(self._messages)
 
     def close(self) -> None:
         """Nothing is open."""
 
 
-class _Poses:
+class Poses:
     """A sink that keeps stamps and poses."""
 
     def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
+        """Forget what came."""
         self.stamps_ns: list[int] = []
         self.poses: list[np.ndarray] = []
 
@@ -76,6 +78,7 @@ class _Poses:
         """Nothing is kept of messages."""
 
     def add(self, result: ScanResult) -> None:
+        """Keep a scan's pose."""
         self.stamps_ns.append(result.end_ns)
         self.poses.append(result.T_odom_imu)
 
@@ -88,7 +91,7 @@ def measure_healthy(seeds: Iterable[int], names: Iterable[str] = ()) -> Iterator
     chosen = list(names) or list(HEALTHY_SCENARIOS)
     for seed in seeds:
         for name in chosen:
-            source, poses = _InMemory(HEALTHY_SCENARIOS[name], seed), _Poses()
+            source, poses = InMemory(HEALTHY_SCENARIOS[name], seed), Poses()
             summary = pipeline.run(source, RunConfig(threads=1), sinks=[poses])
             stamps = np.array(poses.stamps_ns, dtype=np.int64)
             found = Trajectory(stamps_ns=stamps, T_frame_body=np.stack(poses.poses))

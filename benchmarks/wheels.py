@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.healthy import _InMemory, _Poses
+from benchmarks.healthy import InMemory, Poses
 from heliograph import pipeline
 from heliograph.config import RunConfig
 from heliograph.factors import SENSOR_FACTORS
@@ -46,7 +46,7 @@ def measure_wheels(seeds: Iterable[int], names: Iterable[str] = (), *, beside: b
     """Yield a row a recording and way: with its speeds, and ``beside`` them without."""
     for seed in seeds:
         for name in list(names) or list(_SCENARIOS):
-            source = _InMemory(_SCENARIOS[name], seed)
+            source = InMemory(_SCENARIOS[name], seed)
             log = Simulation(_SCENARIOS[name], seed).wheels()
             for with_speeds in (True, False) if beside else (True,):
                 with tempfile.TemporaryDirectory(prefix="heliograph_") as folder:
@@ -56,12 +56,12 @@ def measure_wheels(seeds: Iterable[int], names: Iterable[str] = (), *, beside: b
                     }  # fmt: skip
 
 
-def _run(source: _InMemory, log: Any, folder: Path, *, with_speeds: bool) -> dict[str, Any]:  # noqa: ANN401
+def _run(source: InMemory, log: Any, folder: Path, *, with_speeds: bool) -> dict[str, Any]:  # noqa: ANN401
     config = RunConfig(threads=1)
     if with_speeds:
         (folder / "wheels.csv").write_text(log.csv(), encoding="utf-8")
         config = replace(config, wheels=replace(config.wheels, file=str(folder / "wheels.csv")))
-    poses, began = _Poses(), time.process_time()
+    poses, began = Poses(), time.process_time()
     summary = pipeline.run(source, config, sinks=[poses], folder=folder)
     seconds = time.process_time() - began
     stamps = np.array(poses.stamps_ns, dtype=np.int64)

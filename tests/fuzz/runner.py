@@ -23,9 +23,10 @@ from tests.fuzz.targets import Target, place
 __all__ = ["Case", "Outcome", "choose", "run_case"]
 
 MAX_SECONDS = 5.0  # of processor time
+_TRIES = 3  # of a case that took longer: other work on the same cores makes processor time dearer, never cheaper
 MAX_BYTES = 1_000_000_000  # of resident memory
 _GRACE = 200_000_000  # bytes above, at which the child is ended
-_MAX_WALL = 60.0  # a child that waits for ever takes no processor time
+_MAX_IDLE = 30.0  # seconds in which a child takes no processor time: it waits for ever
 _MAX_LINE = 2_000
 _ON_TERMINAL = "\x7f\u061c\u200e\u200f\u2028\u2029\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 TAKEN, REFUSED, FOREIGN, SPOKE = 0, 2, 3, 4
@@ -63,6 +64,17 @@ def choose(targets: Sequence[Target], cases: int, seed: int, first: int = 0, ste
 
 
 def run_case(case: Case, seeds: Path) -> Outcome:
+    """Run one case in a child of its own; one that was slow runs again, and the least time counts."""
+    found = _run_once(case, seeds)
+    for _ in range(_TRIES - 1):
+        if found.fault != _slowness(found.seconds):
+            break
+        again = _run_once(case, seeds)
+        found = again if again.seconds < found.seconds else found
+    return found
+
+
+def _run_once(case: Case, seeds: Path) -> Outcome:
     """Run one case in a child of its own; the file is spoilt there as well."""
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=_MEMORY if _MEMORY.is_dir() else None))
     temporary, report = folder / "tmp", folder / "report.txt"
@@ -88,32 +100,47 @@ def run_case(case: Case, seeds: Path) -> Outcome:
 
 
 def _fault(code: int, seconds: float, megabytes: float, left: str) -> str:
-    if seconds > MAX_SECONDS:
-        return f"took {seconds:.1f} s"
     if megabytes * 1e6 > MAX_BYTES:
         return f"took {megabytes:.0f} MB"
-    if code < 0:
+    if code < 0 and -code != signal.SIGXCPU:
         return f"ended by {signal.Signals(-code).name}"
+    if seconds > MAX_SECONDS:
+        return _slowness(seconds)
     if code not in (TAKEN, REFUSED):
         return "a word that must not reach a terminal" if code == SPOKE else "an exception that is not ours"
     return f"left {left} in TMPDIR" if left else ""
 
 
+def _slowness(seconds: float) -> str:
+    return f"took {seconds:.1f} s"
+
+
 def _watch(child: int, listening: int) -> str:
     """Return when a child has ended, or ended it: it holds the other end of a pipe."""
     statm, page = Path(f"/proc/{child}/statm"), resource.getpagesize()
-    poll, end, fault = select.poll(), time.monotonic() + _MAX_WALL, ""
+    poll, fault, spent, last = select.poll(), "", -1.0, time.monotonic()
     poll.register(listening, select.POLLIN)
     while not poll.poll(30):
         with contextlib.suppress(OSError, IndexError):  # gone by now, or no Linux
             if int(statm.read_text().split()[1]) * page > MAX_BYTES + _GRACE:
                 fault = f"took over {(MAX_BYTES + _GRACE) / 1e6:.0f} MB"
-        if time.monotonic() > end:
-            fault = f"did not end in {_MAX_WALL:.0f} s"
+        if (now := _processor_seconds(child)) > spent:  # however long a busy machine lets it wait
+            spent, last = now, time.monotonic()
+        elif time.monotonic() > last + _MAX_IDLE:
+            fault = f"did nothing for {_MAX_IDLE:.0f} s"
         if fault:
             os.kill(child, signal.SIGKILL)
             return fault
     return ""
+
+
+def _processor_seconds(child: int) -> float:
+    """Return what a child has used so far [s]; 0 where the system does not tell."""
+    try:
+        words = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _child(case: Case, seeds: Path, folder: Path, temporary: Path, report: Path) -> int:
@@ -123,7 +150,7 @@ def _child(case: Case, seeds: Path, folder: Path, temporary: Path, report: Path)
     except BaseException:
         report.write_text("the spoiling itself failed\n" + traceback.format_exc())
         return FOREIGN
-    most = int(MAX_SECONDS + time.process_time() - before) + 2
+    most = int(2 * MAX_SECONDS + time.process_time() - before) + 2  # a busy machine may make it dear
     resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.environ["TMPDIR"] = str(temporary)

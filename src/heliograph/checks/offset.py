@@ -11,7 +11,6 @@ from heliograph.arrays import Array
 from heliograph.checks.records import CheckedMotion
 from heliograph.checks.windows import orientation_at
 from heliograph.data import ImuBatch
-from heliograph.lie import so3
 
 __all__ = ["MAX_OFFSET", "MIN_CORRELATION", "Offset", "find_offset"]
 
@@ -99,7 +98,7 @@ def _best(batch: ImuBatch, motion: CheckedMotion, center: float, reach: float, s
     # One integration serves all offsets.
     shifted = stamps[None, :] + np.round(offsets * 1e9).astype(np.int64)[:, None]
     R_imu = orientation_at(batch, shifted)
-    alike = np.array([_correlation(seen, _speeds(turned, pairs, spans)) for turned in R_imu])
+    alike = _correlations(seen, _speeds(R_imu, pairs, spans))
     best = _nearest_peak(alike, offsets - center)
     if not 0 < best < len(offsets) - 1:
         return Offset(
@@ -121,11 +120,16 @@ def _nearest_peak(alike: Array, shifts: Array) -> int:
 
 
 def _speeds(R: Array, pairs: NDArray[np.intp], spans: Array) -> Array:
-    """Return the angular speeds between neighbouring orientations [rad/s]."""
-    return np.asarray(np.linalg.norm(so3.log(np.swapaxes(R[pairs], -1, -2) @ R[pairs + 1]), axis=1) / spans)
+    """Return the angular speeds between neighbouring orientations, (..., N) [rad/s] of (..., M, 3, 3)."""
+    # The angle alone: of the chord between two rotations, which is exact for small ones as well.
+    chord = np.linalg.norm(
+        (R[..., pairs + 1, :, :] - R[..., pairs, :, :]).reshape(*R.shape[:-3], len(pairs), 9), axis=-1
+    )
+    return np.asarray(2.0 * np.arcsin(np.minimum(chord / np.sqrt(8.0), 1.0)) / spans)
 
 
-def _correlation(a: Array, b: Array) -> float:
-    a, b = a - a.mean(), b - b.mean()
-    size = float(np.sqrt((a**2).sum() * (b**2).sum()))
-    return float(a @ b) / size if size > 0.0 else 0.0
+def _correlations(seen: Array, speeds: Array) -> Array:
+    """Return how the speeds of each row (K, N) correlate with those seen (N,); 0 where either is constant."""
+    a, b = seen - seen.mean(), speeds - speeds.mean(axis=1, keepdims=True)
+    size = np.sqrt((a @ a) * np.einsum("kn,kn->k", b, b))
+    return np.asarray(b @ a / np.where(size > 0.0, size, 1.0))

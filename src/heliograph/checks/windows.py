@@ -128,14 +128,28 @@ def orientation_at(batch: ImuBatch, at_ns: Stamps) -> Array:
     """
     seconds = (batch.stamps_ns - batch.stamps_ns[0]) * 1e-9
     steps = so3.exp(0.5 * (batch.gyro[1:] + batch.gyro[:-1]) * np.diff(seconds)[:, None])
-    R = np.empty((len(batch), 3, 3))
-    R[0] = np.eye(3)
-    for k, step in enumerate(steps):
-        R[k + 1] = R[k] @ step
+    R = np.concatenate([np.eye(3)[None], _running_product(steps)])
     at = (at_ns - batch.stamps_ns[0]) * 1e-9
     before = np.clip(np.searchsorted(seconds, at, side="right") - 1, 0, len(batch) - 2)
     rate = 0.5 * (batch.gyro[before] + batch.gyro[before + 1])
     return np.asarray(R[before] @ so3.exp(rate * (at - seconds[before])[..., None]))
+
+
+def _running_product(steps: Array) -> Array:
+    """Return the products of the first 1, 2, ... of some matrices, (N, 3, 3), each from the left to the right.
+
+    Within blocks of about sqrt(N), all blocks at once; then each block is set upon the end of the one before it.
+    """
+    length = max(1, int(np.sqrt(len(steps))))
+    blocks = -(-len(steps) // length)
+    product = np.tile(np.eye(3), (blocks * length, 1, 1))
+    product[: len(steps)] = steps
+    product = product.reshape(blocks, length, 3, 3)
+    for k in range(1, length):
+        product[:, k] = product[:, k - 1] @ product[:, k]
+    for b in range(1, blocks):
+        product[b] = product[b - 1, -1] @ product[b]
+    return np.asarray(product.reshape(-1, 3, 3)[: len(steps)])
 
 
 def _windows(batch: ImuBatch, motion: CheckedMotion, span: int) -> NDArray[np.int64]:

@@ -23,7 +23,8 @@ class ReadLimits:
     chunk : int
         Bytes that one chunk or message may unpack to.
     ratio : float
-        How many times its size a compressed file may unpack to; below ``chunk`` it may always.
+        How many times its size a compressed file, or all compressed parts of one, may unpack to; below ``chunk`` it
+        may always.
     reserve : int
         Bytes of the temporary folder's disk that are left free.
     topics : int
@@ -44,3 +45,10 @@ class ReadLimits:
         """Return what is said of a chunk that is too large."""
         sizes = f"{size / _MEGABYTE:.0f} MB or more, and input.max_chunk allows {self.chunk / _MEGABYTE:.0f} MB"
         return f"it unpacks to {sizes}"
+
+    def ratio_message(self) -> str:
+        """Return what is said of a part that makes a file unpack to too much."""
+        return (
+            f"the file's parts unpack to more than {self.ratio:g} times their size, which no recording does; "
+            "input.max_unpack_ratio allows more of one that is to be trusted"
+        )

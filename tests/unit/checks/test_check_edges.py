@@ -8,8 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from heliograph.checks import IMU_CHECKS, CheckedMotion, CheckReport, ImuRecord, check_imu
-from heliograph.data import Rig, Trajectory
+from heliograph.checks.windows import orientation_at
+from heliograph.data import ImuBatch, Rig, Trajectory
 from heliograph.errors import DataError
+from heliograph.lie import so3
 from heliograph.output.facts import plain
 from heliograph.sim import SCENARIOS
 from imu_records import made_records, picked
@@ -110,3 +112,16 @@ def test_records_refuse_lengths_that_differ():
         ImuRecord(stamps_ns=imu.stamps_ns, received_ns=imu.received_ns, gyro=imu.gyro[:5].copy(), accel=imu.accel)
     with pytest.raises(DataError, match="tracked"):
         CheckedMotion(trajectory=motion.trajectory, tracked=np.ones(3, bool), rig=motion.rig)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 50, 101])
+def test_orientation_by_blocks_is_the_product_one_by_one(count):
+    rng = np.random.default_rng(count)
+    stamps = np.arange(count + 1) * 5_000_000
+    batch = ImuBatch(
+        stamps_ns=stamps, gyro=rng.normal(0.0, 3.0, (count + 1, 3)), accel=np.zeros((count + 1, 3)), received_ns=0
+    )
+    R = np.eye(3)
+    for k, found in enumerate(orientation_at(batch, stamps[:-1])):
+        np.testing.assert_allclose(found, R, atol=1e-12)
+        R = R @ so3.exp(0.5 * (batch.gyro[k] + batch.gyro[k + 1]) * 0.005)

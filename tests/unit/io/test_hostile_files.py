@@ -20,7 +20,7 @@ from heliograph.guard.limits import ReadLimits
 from heliograph.guard.npz import read_npz
 from heliograph.io import open_recording
 from heliograph.io.bags.rosbag import open_rosbag
-from heliograph.io.bags.unpack import unpack, unpack_file, zstd
+from heliograph.io.bags.unpack import UnpackTally, unpack, unpack_file, zstd
 from heliograph.io.files.cloud_points import read_points
 from heliograph.io.files.extrinsic import read_extrinsic
 from heliograph.io.files.imu_tables import read_imu_table
@@ -61,6 +61,20 @@ def test_a_bomb_is_refused_before_it_goes_off(kind):
     assert bytes(unpack(kind, PACKED[kind](b"a") + PACKED[kind](b"b"), SMALL)) == b"ab"
     with pytest.raises(ValueError):
         unpack(kind, PACKED[kind](b"whole" * 99)[:-8], SMALL)
+
+
+@pytest.mark.parametrize("kind", PACKED)
+@pytest.mark.parametrize("declared", [True, False])
+def test_many_parts_that_are_allowed_each_are_too_much_together(kind, declared):
+    part = PACKED[kind](bytes(900_000))
+    limits = ReadLimits(chunk=1_000_000, ratio=10.0)
+    tally, size = UnpackTally(limits), 900_000 if declared else None
+    assert len(unpack(kind, part, limits, size=size, tally=tally)) == 900_000
+    with at_most(3.0), pytest.raises(ValueError, match=r"more than 10 times their size.*input\.max_unpack_ratio"):
+        unpack(kind, part, limits, size=size, tally=tally)
+    incompressible = PACKED[kind](np.random.default_rng(1).bytes(500))
+    for _ in range(3):  # what is no bomb is read all the same
+        assert len(unpack(kind, incompressible, limits, size=500, tally=tally)) == 500
 
 
 def test_a_file_that_unpacks_to_the_whole_disk_is_refused(tmp_path):

@@ -17,7 +17,7 @@ from heliograph.errors import FormatError
 from heliograph.guard.boundary import DAMAGE, outside, outside_each
 from heliograph.guard.limits import ReadLimits
 from heliograph.io.bags.storage import Channel, RawBytes, note, ros2_name
-from heliograph.io.bags.unpack import unpack
+from heliograph.io.bags.unpack import UnpackTally, unpack
 
 __all__ = ["Bag1Storage"]
 
@@ -77,6 +77,7 @@ class Bag1Storage:
     def __init__(self, path: Path, events: list[Event], limits: ReadLimits | None = None) -> None:
         self.path = path
         self._limits = limits or ReadLimits()
+        self._tally = UnpackTally(self._limits)
         self.channels: list[Channel] = []
         self.events = events
         self.start_ns, self.end_ns = 0, 0
@@ -123,7 +124,7 @@ class Bag1Storage:
     def _unpacked(self, kind: str, data: bytes) -> bytes:
         """Return a chunk's content; where rosbags would unpack whatever comes, this one ends at the limit."""
         try:
-            return bytes(unpack(kind, data, self._limits))
+            return bytes(unpack(kind, data, self._limits, tally=self._tally))
         except ValueError as error:
             raise FormatError(self.path, f"is damaged: {error}") from error
 
@@ -157,7 +158,7 @@ class _Salvage:
     """A bag read from its start, chunk by chunk, without its index."""
 
     def __init__(self, path: Path, limits: ReadLimits) -> None:
-        self._path, self._limits = path, limits
+        self._path, self._limits, self._tally = path, limits, UnpackTally(limits)
         names: dict[int, tuple[str, str]] = {}
         counts: dict[int, int] = {}
         times: list[int] = []
@@ -199,7 +200,8 @@ class _Salvage:
                     continue
                 found: list[tuple[int, int, int, memoryview]] = []
                 kind = header.get("compression", b"").decode(errors="replace")
-                self._read_chunk(unpack(kind, data, self._limits, size=_size(header), cut_off=True), names, found)
+                body = unpack(kind, data, self._limits, size=_size(header), cut_off=True, tally=self._tally)
+                self._read_chunk(body, names, found)
                 heapq.heapify(found)
                 while found:
                     time_ns, _, key, payload = heapq.heappop(found)

@@ -22,7 +22,7 @@ from heliograph.errors import FormatError
 from heliograph.guard.boundary import DAMAGE
 from heliograph.guard.limits import MAX_NS, ReadLimits
 from heliograph.io.bags.storage import Channel, RawBytes, merge_lazily, note, ros2_name
-from heliograph.io.bags.unpack import unpack
+from heliograph.io.bags.unpack import UnpackTally, unpack
 
 __all__ = ["McapStorage"]
 
@@ -74,13 +74,13 @@ def _records(body: memoryview) -> Iterator[tuple[int, memoryview]]:
         at += size
 
 
-def _decompress(body: memoryview, limits: ReadLimits = _USUAL) -> memoryview:
+def _decompress(body: memoryview, limits: ReadLimits = _USUAL, tally: UnpackTally | None = None) -> memoryview:
     """Return the records of a chunk; of one that is cut off, as much as can be had."""
     (_, _, size, _) = struct.unpack_from("<QQQI", body, 0)
     compression, at = _text(body, 28)
     (stored,) = struct.unpack_from("<Q", body, at)
     data = body[at + 8 : at + 8 + stored]
-    return unpack(compression, data, limits, size=size, cut_off=len(data) < stored)
+    return unpack(compression, data, limits, size=size, cut_off=len(data) < stored, tally=tally)
 
 
 class McapStorage:
@@ -104,6 +104,7 @@ class McapStorage:
     def __init__(self, path: Path, events: list[Event], limits: ReadLimits | None = None) -> None:
         self.path = path
         self._limits = limits or _USUAL
+        self._tally = UnpackTally(self._limits)
         self.channels: list[Channel] = []
         self.events = events
         self.start_ns, self.end_ns = END_OF_TIME_NS, 0
@@ -264,7 +265,7 @@ class McapStorage:
     def _index_chunk(self, record: memoryview, offset: int) -> None:
         keys: set[int] = set()
         try:
-            for opcode, inner in _records(_decompress(record, self._limits)):
+            for opcode, inner in _records(_decompress(record, self._limits, self._tally)):
                 self._read_definition(opcode, inner)
                 if opcode == MESSAGE:
                     keys.add(self._count_message(inner))
@@ -296,7 +297,7 @@ class McapStorage:
         try:
             self._file.seek(chunk.offset + RECORD.size)
             body = memoryview(self._file.read(max(0, min(chunk.length, self._size) - RECORD.size)))
-            for opcode, record in _records(_decompress(body, self._limits)):
+            for opcode, record in _records(_decompress(body, self._limits, self._tally)):
                 if opcode != MESSAGE:
                     continue
                 key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(record, 0)
@@ -312,7 +313,11 @@ class McapStorage:
         """Read a file whose messages are not in chunks: they come in the order in which they were written."""
         try:
             for opcode, record, _ in self._top_level():
-                records = _records(_decompress(record, self._limits)) if opcode == CHUNK else iter([(opcode, record)])
+                records = (
+                    _records(_decompress(record, self._limits, self._tally))
+                    if opcode == CHUNK
+                    else iter([(opcode, record)])
+                )
                 for inner, body in records:
                     if inner == MESSAGE:
                         key, _, time_ns, _ = MESSAGE_HEAD.unpack_from(body, 0)

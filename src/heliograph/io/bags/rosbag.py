@@ -24,7 +24,7 @@ from heliograph.io.bags.mcap import McapStorage
 from heliograph.io.bags.messages import DECODERS, KINDS
 from heliograph.io.bags.sqlite import SqliteStorage
 from heliograph.io.bags.storage import RawBytes, Storage, merge_lazily, note
-from heliograph.io.bags.unpack import ZSTD_MAGIC, unpack, unpack_file
+from heliograph.io.bags.unpack import ZSTD_MAGIC, UnpackTally, unpack, unpack_file
 from heliograph.io.raw import RawMessage, RawSource, TopicInfo
 from heliograph.io.registry import PACKET_DRIVERS, PacketContext, PacketDecoder, packet_decoder
 
@@ -334,12 +334,13 @@ def _kind(topic: str, message_type: str, encoding: str) -> str:
 def _read(
     part: _OpenPart, topics: frozenset[str], start_ns: int, events: list[Event], limits: ReadLimits
 ) -> Iterator[RawBytes]:
+    tally = UnpackTally(limits)
     for channel, received_ns, payload in part.storage.messages(topics, start_ns):
         if not part.zstd_messages:
             yield channel, received_ns, payload
             continue
         try:
-            content = unpack("zstd", payload, limits)
+            content = unpack("zstd", payload, limits, tally=tally)
         except ValueError as error:
             note_bad_message(events, channel.topic, received_ns, error)
             continue

@@ -18,7 +18,7 @@ if sys.version_info >= (3, 14):
 else:
     from backports import zstd
 
-__all__ = ["ZSTD_MAGIC", "unpack", "unpack_file"]
+__all__ = ["ZSTD_MAGIC", "UnpackTally", "unpack", "unpack_file"]
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _PIECE = 1 << 20  # bytes that are unpacked at once
@@ -26,8 +26,37 @@ _DAMAGE = (zstd.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryEr
 _HEAD = 18  # bytes of a zstd frame's header at max_bytes
 
 
+class UnpackTally:
+    """How much the parts of one file have unpacked to: many that are allowed each are too much together.
+
+    Parameters
+    ----------
+    limits : ReadLimits
+        Together they may be ``ratio`` times what they weigh, and ``chunk`` bytes always.
+    """
+
+    def __init__(self, limits: ReadLimits) -> None:
+        self._limits = limits
+        self._packed = self._unpacked = 0
+
+    def room(self, packed: int) -> int:
+        """Return the bytes that a part of so many may unpack to."""
+        return round(self._limits.chunk + self._limits.ratio * (self._packed + packed)) - self._unpacked
+
+    def add(self, packed: int, unpacked: int) -> None:
+        """Count a part."""
+        self._packed += packed
+        self._unpacked += unpacked
+
+
 def unpack(
-    kind: str, data: bytes | memoryview, limits: ReadLimits, *, size: int | None = None, cut_off: bool = False
+    kind: str,
+    data: bytes | memoryview,
+    limits: ReadLimits,
+    *,
+    size: int | None = None,
+    cut_off: bool = False,
+    tally: UnpackTally | None = None,
 ) -> memoryview:
     """Return the content of a chunk or message.
 
@@ -43,6 +72,8 @@ def unpack(
         Its size as the container declares it; what is longer or shorter is damaged.
     cut_off : bool
         The data end too early: as much as can be had is returned.
+    tally : UnpackTally, optional
+        Of the file's other parts.
 
     Raises
     ------
@@ -55,25 +86,41 @@ def unpack(
         raise ValueError(f"its compression '{kind}' is not known")
     if size is not None and size > limits.chunk:
         raise ValueError(limits.chunk_message(size))
-    max_bytes = limits.chunk if size is None else size
+    room = limits.chunk if tally is None else min(limits.chunk, tally.room(len(data)))
+    if size is not None and size > room:
+        raise ValueError(limits.ratio_message())
+    content = _content(kind, data, limits, size, room, cut_off)
+    if tally is not None:
+        tally.add(len(data), len(content))
+    if size is not None and len(content) != size and not cut_off:
+        raise ValueError(f"it holds {len(content)} bytes instead of {size}")
+    return content
+
+
+def _content(
+    kind: str, data: bytes | memoryview, limits: ReadLimits, size: int | None, room: int, cut_off: bool
+) -> memoryview:
+    """Return what comes out, of an unknown ``size`` at most ``room`` bytes; else it is an error."""
+    max_bytes = room if size is None else size
+    at_once = min(max_bytes + 1, _PIECE if size is None else max_bytes + 1)
     found: list[bytes] = []
     length = 0
     try:
-        for piece in _pieces(
-            kind, bytes(data) if kind == "lz4" else data, min(max_bytes + 1, _PIECE if size is None else max_bytes + 1)
-        ):
+        for piece in _pieces(kind, bytes(data) if kind == "lz4" else data, at_once):
             found.append(piece)
             length += len(piece)
             if length > max_bytes:
-                raise ValueError(
-                    limits.chunk_message(max_bytes) if size is None else f"it holds more than its {size} bytes"
-                )
+                raise ValueError(_too_much(limits, size, room))
     except _DAMAGE as error:
         if not (cut_off and 0 < length <= max_bytes):
             raise ValueError(str(error) or type(error).__name__) from error
-    if size is not None and length != size and not cut_off:
-        raise ValueError(f"it holds {length} bytes instead of {size}")
     return memoryview(found[0] if len(found) == 1 else b"".join(found))
+
+
+def _too_much(limits: ReadLimits, size: int | None, room: int) -> str:
+    if size is not None:
+        return f"it holds more than its {size} bytes"
+    return limits.chunk_message(room) if room == limits.chunk else limits.ratio_message()
 
 
 def _pieces(kind: str, data: bytes | memoryview, at_once: int) -> Iterator[bytes]:

@@ -234,13 +234,16 @@ def _candidates(topics: Sequence[TopicInfo], kind: str, wanted: str, used: bool)
 
 
 def _require(source: RawSource, lidars: list[TopicInfo], imus: list[TopicInfo], sensors: str) -> None:
-    listing = ", ".join(f"{t.name} ({t.message_type})" for t in source.topics) or "none at all"
+    listing = ", ".join(f"{t.name} ({t.message_type})" for t in source.topics)
+    among = f" among {listing}" if listing else ", nor any other"
+    # Where a part could not be read, that is what the user has to know first.
+    damage = next((f" ({e.message})" for e in source.events if e.code in ("damaged-chunk", "truncated")), "")
     if not lidars and sensors != "imu":
         remedy = "use --sensors imu to dead-reckon" if imus else "record a sensor_msgs/PointCloud2 or a Livox CustomMsg"
-        raise DataError(f"{source.description}: no LiDAR topic among {listing}; {remedy}")
+        raise DataError(f"{source.description}: no LiDAR topic{among}{damage}; {remedy}")
     if not imus and sensors != "auto" and "imu" in sensors:
         remedy = "use --sensors lidar" if sensors != "imu" else "record a sensor_msgs/Imu"
-        raise DataError(f"{source.description}: no IMU topic among {listing}; {remedy}")
+        raise DataError(f"{source.description}: no IMU topic{among}{damage}; {remedy}")
 
 
 def _require_messages(
