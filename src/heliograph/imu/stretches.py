@@ -18,6 +18,7 @@ __all__ = ["Grid", "ImuStretch", "even_stretches", "still_stretches"]
 
 _MAX_MISSING = 5  # samples missing in a row that are interpolated; more of them split the record
 _STEP_TOLERANCE = 0.05  # steps within this share of the usual one are even
+_LONG_STEPS, _PAUSE = 0.99, 10.0  # quantile of the steps, and how many times it a pause lasts
 _PERIOD_SPAN = 1000  # steps over which one estimate of the period is taken, so that jitter hardly enters it
 _WINDOW, _MIN_SAMPLES = 0.5, 8  # length of one look at the signal [s], and samples in it
 _AVERAGING = 0.02  # what the limits of stillness are held against is averaged over this long [s]
@@ -100,7 +101,7 @@ def even_stretches(imu: ImuBatch) -> Grid:
     if (steps <= 0).any():
         bad = int((steps <= 0).sum())
         raise DataError(f"{bad} of {n} IMU stamps do not increase; sort and clean the samples first")
-    period_ns = _period_ns(imu.stamps_ns, steps)
+    period_ns = _period_ns(steps)
     ideal = np.rint((imu.stamps_ns - imu.stamps_ns[0]) / period_ns).astype(np.int64)
     slots = np.arange(n) + np.maximum.accumulate(ideal - np.arange(n))
     samples = np.hstack([imu.gyro, imu.accel])
@@ -115,15 +116,18 @@ def even_stretches(imu: ImuBatch) -> Grid:
     return Grid(period=1e-9 * period_ns, stretches=stretches, filled=filled, gaps=len(cuts))
 
 
-def _period_ns(stamps_ns: NDArray[np.int64], steps: NDArray[np.int64]) -> float:
+def _period_ns(steps: NDArray[np.int64]) -> float:
     """Return the IMU's own period: the usual step where stamps are even, else that of long spans."""
     usual = float(np.median(steps))
+    # A few long steps are pauses, which may last for years; those between packets are many.
+    steps = np.where(steps > _PAUSE * np.quantile(steps, _LONG_STEPS, method="higher"), usual, steps)
     even = np.abs(steps - usual) <= _STEP_TOLERANCE * usual
     # Samples stamped as they arrive in packets have an even step as well, but it covers next to no time.
-    if even.mean() >= 0.5 and 2 * int(steps[even].sum()) >= int(steps.sum()):
+    if even.mean() >= 0.5 and 2 * float(steps[even].sum()) >= float(steps.sum()):
         return float(steps[even].mean())
     span = min(_PERIOD_SPAN, len(steps))
-    return float(np.median(stamps_ns[span:] - stamps_ns[:-span])) / span
+    times = np.concatenate([[0.0], np.cumsum(steps, dtype=np.float64)])
+    return float(np.median(times[span:] - times[:-span])) / span
 
 
 def _filled(slots: NDArray[np.int64], samples: Array) -> Array:

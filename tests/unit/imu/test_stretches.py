@@ -65,6 +65,16 @@ def test_jittered_stamps_lose_no_sample_and_make_none_up(rng, kind):
     assert grid.gaps <= 1
 
 
+@pytest.mark.parametrize("seconds", [3.0, 1e6, 3e8])
+@pytest.mark.parametrize("at", [1, 600, 1199])
+def test_a_pause_of_any_length_leaves_the_period(rng, seconds, at):
+    imu = resting_imu(rng, duration=1201 / RATE, rate=RATE)
+    stamps = imu.stamps_ns + np.where(np.arange(1201) >= at, round(1e9 * seconds), 0)
+    grid = even_stretches(replace(imu, stamps_ns=stamps))
+    assert grid.period == pytest.approx(0.005, rel=1e-6)
+    assert grid.gaps == 1 and [len(stretch) for stretch in grid.stretches] == [at, 1201 - at]
+
+
 def test_reversed_and_repeated_stamps_are_refused(rng):
     imu = resting_imu(rng, duration=1.0, rate=RATE)
     with pytest.raises(DataError, match="199 of 200 IMU stamps do not increase"):
