@@ -6,7 +6,7 @@ import os
 import random
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,7 +25,7 @@ from heliograph.graph.files.archive import load_graph
 from heliograph.io import open_recording
 from heliograph.lie import SE3
 
-__all__ = ["TARGETS", "Target"]
+__all__ = ["TARGETS", "Target", "place", "sound"]
 
 Spoil = Callable[[bytes, random.Random], bytes]
 DEFECT = 1  # exit code of a command that ended in an exception that is none of ours
@@ -303,6 +303,12 @@ TARGETS = [
     target for target in (*_recordings(), *_tables(), *_graphs(), *_runs(), *_clouds())
     if all(find_spec(decoder) for name, decoder in _DECODERS.items() if target.name.startswith(name))
 ]  # fmt: skip
+
+
+def sound(target: Target) -> Target:
+    """Return the target with its seed unspoilt."""
+    untouched = None if target.spoil_folder is None else (lambda _folder, _rng: None)
+    return replace(target, spoil=lambda data, _: data, spoil_folder=untouched)
 
 
 def place(target: Target, seeds: Path, folder: Path, rng: random.Random) -> Path:

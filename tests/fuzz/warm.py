@@ -12,14 +12,13 @@ import random
 import shutil
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import typer.main
 from tests.fuzz.containers import warm_bombs
 from tests.fuzz.runner import Case, run_case
-from tests.fuzz.targets import Target, place
+from tests.fuzz.targets import Target, place, sound
 
 import heliograph
 
@@ -39,12 +38,11 @@ def warm_up(targets: Sequence[Target], seeds: Path) -> list[str]:
     warm_bombs()
     wrong, seen = [], set[object]()
     for target in targets:
-        untouched = None if target.spoil_folder is None else (lambda _folder, _rng: None)
-        sound = replace(target, spoil=lambda data, _: data, spoil_folder=untouched)
+        healthy = sound(target)
         if not target.threads and target.warms not in seen:
             seen.add(target.warms)
-            _read(sound, seeds)
-        outcome = run_case(Case(0, "sound", sound), seeds)
+            _read(healthy, seeds)
+        outcome = run_case(Case(0, "sound", healthy), seeds)
         if outcome.fault or not outcome.taken:
             wrong.append(f"the sound seed of '{target.name}' was not read: {outcome.fault} {outcome.detail}")
     tasks = Path("/proc/self/task")
