@@ -176,6 +176,24 @@ def test_late_messages_are_used_and_counted(tmp_path):
     assert codes(recording) == ["imu-late"]
 
 
+@pytest.mark.parametrize("late_ms", [5, 7])
+def test_a_sample_that_came_behind_the_next_is_sorted_in(late_ms, tmp_path):
+    """One message that was delivered late is no step of a clock, and no loss."""
+    bag = drive(60)
+    at = next(k for k, m in enumerate(bag.messages) if m[0] == "/imu" and m[2] > T0 + 2_030_000_000)
+    topic, kind, received_ns, make = bag.messages[at]
+    late = [
+        *bag.messages[:at],
+        (topic, kind, received_ns + 10_000_000 + late_ms * 1_000_000, make),
+        *bag.messages[at + 1 :],
+    ]
+    _, whole = read(bag, tmp_path / "whole")
+    recording, items = read(Bag(late), tmp_path / "late")
+    np.testing.assert_array_equal(stamps(items), stamps(whole))
+    assert recording.tally.imu.unordered == 1 and recording.tally.imu.rewinds == 0
+    assert [(event.code, event.severity) for event in recording.events] == [("imu-unordered", "info")]
+
+
 def test_samples_that_are_not_finite_are_dropped(tmp_path):
     bag = drive()
     bag.imu(T0 + 305_000_000, gyro=(np.nan, 0.0, 0.0))
