@@ -64,7 +64,7 @@ class InMemory:
 
 
 class Poses:
-    """A sink that keeps stamps and poses."""
+    """A sink that keeps stamps and poses, and how long each came after its scan [s]."""
 
     def __init__(self) -> None:
         self.restart()
@@ -73,14 +73,18 @@ class Poses:
         """Forget what came."""
         self.stamps_ns: list[int] = []
         self.poses: list[np.ndarray] = []
+        self.waited_s: list[float] = []
+        self._latest_ns = 0
 
     def observe(self, message: Message) -> None:
-        """Nothing is kept of messages."""
+        """Note when it came."""
+        self._latest_ns = max(self._latest_ns, message.received_ns)
 
     def add(self, result: ScanResult) -> None:
         """Keep a scan's pose."""
         self.stamps_ns.append(result.end_ns)
         self.poses.append(result.T_odom_imu)
+        self.waited_s.append((self._latest_ns - result.end_ns) * 1e-9)
 
     def close(self, summary: object) -> None:
         """Nothing is open."""

@@ -79,6 +79,8 @@ def _row(motion: str, seed: int, sensors: str, seconds: float) -> dict[str, Any]
     stamps = np.array(poses.stamps_ns, dtype=np.int64)
     # A scan that lies in the silence of the other sensor is bridged, not found again: what comes after is judged.
     judged = (stamps < source.silence_ns[0]) | (stamps > source.silence_ns[1] + 200_000_000)
+    after = stamps > source.silence_ns[1]
+    waited = max((wait for wait, late in zip(poses.waited_s, after, strict=True) if late), default=0.0)
     stamps, T = stamps[judged], np.stack(poses.poses)[judged]
     truth = Trajectory(stamps_ns=stamps, T_frame_body=source.truth.pose(stamps))
     way = "origin" if motion == "still" else "se3"  # one place leaves the rotation open
@@ -93,7 +95,8 @@ def _row(motion: str, seed: int, sensors: str, seconds: float) -> dict[str, Any]
         "seconds": seconds,
         "ate_m": errors.rmse,
         "worst_m": errors.max,
-        "scans_after": int(np.count_nonzero(stamps > source.silence_ns[1])),
+        "scans_after": int(np.count_nonzero(after)),
+        "waited_s": waited,
         "status": summary.status,
         "reasons": list(summary.reasons),
         "said": codes,
@@ -104,7 +107,17 @@ def _row(motion: str, seed: int, sensors: str, seconds: float) -> dict[str, Any]
 
 def outages_section(rows: _Rows, table: Callable[[Sequence[str], Sequence[Any]], str]) -> str:
     """Return the section of a set of rows."""
-    head = ["motion", "silent", "silence [s]", "runs", "right", "told", "silent failures", "ATE, median / worst [mm]"]
+    head = [
+        "motion",
+        "silent",
+        "silence [s]",
+        "runs",
+        "right",
+        "told",
+        "silent failures",
+        "ATE, median / worst [mm]",
+        "held back, longest [s]",
+    ]
     body = []
     for motion, sensors in dict.fromkeys((row["motion"], row["silent"]) for row in rows):
         alike = [row for row in rows if (row["motion"], row["silent"]) == (motion, sensors)]
@@ -114,11 +127,14 @@ def outages_section(rows: _Rows, table: Callable[[Sequence[str], Sequence[Any]],
             ate = 1e3 * np.array([row["ate_m"] for row in some if row["outcome"] != "told"])
             shown = f"{np.median(ate):.1f} / {ate.max():.1f}" if len(ate) else ""
             counts = [outcomes.count(outcome) for outcome in ("right", "told", "silent")]
-            body.append([motion, sensors, f"{seconds:g}", len(some), *counts, shown])
+            waits = [row["waited_s"] for row in some if "waited_s" in row]
+            held = f"{max(waits):.1f}" if waits else ""
+            body.append([motion, sensors, f"{seconds:g}", len(some), *counts, shown, held])
     return (
         "\n## Silences of the sensors\n\nBoth sensors or one fall silent in mid-recording; seeds from 200 on. The path "
         "before and after is to be within 20 mm of\nthe truth (bar, right), or the run `degraded` with a new piece of "
-        "map (told). ATE is of those that tell of no new piece.\n\n" + table(head, body)
+        "map (told). ATE is of those that tell of no new piece.\nResults of scans without a "
+        "place are held back until one has it.\n\n" + table(head, body)
     )
 
 

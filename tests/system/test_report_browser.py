@@ -90,3 +90,15 @@ def test_report_opens_with_the_runs_numbers_and_asks_for_nothing(made, tmp_path,
             page.wait_for("document.querySelector('#scene-view canvas, #scene-view .gl-container')")
         assert page.complaints == []
         assert [url for url in page.requests if not url.startswith(("file:", "data:", "blob:", "about:"))] == []
+
+
+def test_no_caption_overlaps_another_where_the_map_is_a_strip(tmp_path):
+    write_recording(tmp_path / "drive", SCENARIOS["tunnel"].thinned(beams=16, columns=90, duration=7.0), seed=1)
+    assert main(["run", str(tmp_path / "drive"), "-o", str(tmp_path / "run"), "-q", "--no-graph"]) == 0
+    with Browser(tmp_path / "profile", width=390, height=900, patience=120.0) as page:
+        page.open((tmp_path / "run" / "report.html").as_uri())
+        page.wait_for("document.readyState === 'complete'")
+        for width in (390, 1400):
+            page.resize(width, 900)
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+            assert page.evaluate(OVERLAPS) == []

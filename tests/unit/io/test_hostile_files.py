@@ -179,6 +179,16 @@ def test_lzf_that_cannot_be_is_refused(tmp_path):
             read_points(path)
 
 
+def test_lzf_of_zeros_takes_no_more_than_it_may(tmp_path):
+    """Each three bytes of back reference stand for 264: 21 MB of them for 1.8 GB."""
+    path, body = tmp_path / "a.pcd", b"\x00\x00" + b"\xe0\xff\x00" * 1_200_000
+    points = (1 + 264 * 1_200_000) // 12
+    head = f"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nPOINTS {points}\nDATA binary_compressed\n"
+    path.write_bytes(head.encode() + struct.pack("<II", len(body), 1 + 264 * 1_200_000) + body)
+    with at_most(8.0), pytest.raises(FormatError, match=r"317 MB, more than 20 times what it weighs"):
+        read_points(path)
+
+
 def test_an_archive_takes_what_it_weighs(tmp_path):
     path = tmp_path / "a.npz"
     np.savez(path, numbers=np.arange(6.0).reshape(2, 3), name="imu", columns=np.asfortranarray(np.eye(3)))

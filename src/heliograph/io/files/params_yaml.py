@@ -73,7 +73,9 @@ def _content(path: Path) -> object:
     try:
         reader = YAML(typ="safe", pure=True)
         return reader.load("\n".join(line for line in text.splitlines() if not line.startswith("%YAML")))
-    except (YAMLError, ValueError, RecursionError) as error:
+    except RecursionError as error:
+        raise ConfigError(f"extrinsic {path}: is not YAML: it nests too deep") from error
+    except (YAMLError, ValueError) as error:
         raise ConfigError(f"extrinsic {path}: is not YAML: {str(error).splitlines()[0]}") from error
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import FormatError
+from heliograph.guard.limits import ReadLimits
 from heliograph.io.files.records import columns_of, require_bytes, write_records
 
 __all__ = ["pcd_header", "read_pcd", "write_pcd"]
@@ -20,6 +21,7 @@ __all__ = ["pcd_header", "read_pcd", "write_pcd"]
 _MAX_HEADER_LINES = 200
 _MAX_POINTS = 1 << 31
 _MAX_LZF_RATIO = 128  # three bytes stand for 264 at most
+_PLAUSIBLE_LZF_RATIO = 20  # of a large cloud; a small one may be all zeros
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,6 +149,12 @@ def _read_compressed(path: Path, file: BinaryIO, header: _Header) -> dict[str, N
         raise FormatError(path, f"holds {len(data)} of {packed} compressed bytes; the file is truncated")
     if unpacked > _MAX_LZF_RATIO * packed:
         raise FormatError(path, f"promises {unpacked} bytes of {packed} compressed ones, more than LZF can hold")
+    if unpacked > max(ReadLimits().chunk, _PLAUSIBLE_LZF_RATIO * packed):
+        raise FormatError(
+            path,
+            f"unpacks to {unpacked / 1e6:.0f} MB, more than {_PLAUSIBLE_LZF_RATIO} times what it weighs, which no cloud "
+            "so large does; if it is to be trusted, write it uncompressed",
+        )
     try:
         raw = lzf.decompress(data, unpacked) if packed else b""
     except (ValueError, TypeError, RuntimeError, MemoryError) as error:
