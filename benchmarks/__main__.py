@@ -30,6 +30,7 @@ from benchmarks import (
     loop_runs,
     loops,
     match_scores,
+    outages,
     outliers,
     registration,
     side_by_side,
@@ -65,6 +66,7 @@ _ALL = (
     "sigmas",
     "match-scores",
     "healthy",
+    "outages",
 )
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio", "localization")
 _RUNS = {
@@ -82,6 +84,7 @@ _RUNS = {
     "sigmas": 20,
     "match-scores": 2,
     "healthy": 20,
+    "outages": 5,
 }
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
@@ -213,10 +216,13 @@ def _whole_runs(arguments: argparse.Namespace, wanted: Sequence[str], command: P
 
 
 def _healthy(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
-    """Run the benchmark of what the checks say of sound recordings."""
+    """Run the benchmarks of what the checks say of sound recordings, and of silences."""
     if "healthy" in wanted:
         seeds = range(arguments.first, arguments.first + (arguments.runs or _RUNS["healthy"]))
         _write("healthy", list(healthy.measure_healthy(seeds)))
+    if "outages" in wanted:
+        first = arguments.first or 200
+        _write("outages", outages.measure_outages(range(first, first + (arguments.runs or _RUNS["outages"]))))
 
 
 def _timings(

@@ -25,6 +25,7 @@ from benchmarks.loop_misled import misled_section
 from benchmarks.loop_runs import loop_runs_section
 from benchmarks.loops import loops_section
 from benchmarks.match_scores import scores_section
+from benchmarks.outages import outages_section
 from benchmarks.outliers import outliers_section
 from benchmarks.registration import registration_section
 from benchmarks.side_by_side import side_by_side_section
@@ -65,6 +66,7 @@ _OTHER_SECTIONS = {
     "georeference": georeference_section,
     "wheels": wheels_section,
     "healthy": healthy_section,
+    "outages": outages_section,
 }
 
 

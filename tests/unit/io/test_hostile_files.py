@@ -185,7 +185,7 @@ def test_lzf_of_zeros_takes_no_more_than_it_may(tmp_path):
     points = (1 + 264 * 1_200_000) // 12
     head = f"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nPOINTS {points}\nDATA binary_compressed\n"
     path.write_bytes(head.encode() + struct.pack("<II", len(body), 1 + 264 * 1_200_000) + body)
-    with at_most(8.0), pytest.raises(FormatError, match=r"317 MB, more than 20 times what it weighs"):
+    with at_most(8.0), pytest.raises(FormatError, match=r"317 MB, more than 20 times its weight"):
         read_points(path)
 
 

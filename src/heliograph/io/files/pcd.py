@@ -152,8 +152,8 @@ def _read_compressed(path: Path, file: BinaryIO, header: _Header) -> dict[str, N
     if unpacked > max(ReadLimits().chunk, _PLAUSIBLE_LZF_RATIO * packed):
         raise FormatError(
             path,
-            f"unpacks to {unpacked / 1e6:.0f} MB, more than {_PLAUSIBLE_LZF_RATIO} times what it weighs, which no cloud "
-            "so large does; if it is to be trusted, write it uncompressed",
+            f"unpacks to {unpacked / 1e6:.0f} MB, more than {_PLAUSIBLE_LZF_RATIO} times its weight, which no cloud so "
+            "large does; if it is to be trusted, write it uncompressed",
         )
     try:
         raw = lzf.decompress(data, unpacked) if packed else b""
