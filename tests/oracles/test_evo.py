@@ -8,7 +8,7 @@ from heliograph.lie import se3
 from heliograph.metrics import absolute_trajectory_error, associate, relative_pose_error
 
 evo_metrics = pytest.importorskip("evo.core.metrics", reason="evo needs Python 3.11 and is a test dependency")
-evo_trajectory = pytest.importorskip("evo.core.trajectory")
+evo_trajectory = pytest.importorskip("evo.core.trajectory", reason="needs evo: pip install 'heliograph[test]'")
 
 
 def _pair(rng, n=250):

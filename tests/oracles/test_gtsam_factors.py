@@ -9,7 +9,7 @@ import pytest
 from native_factors import element, evaluate
 from reference import factors as twin
 
-gtsam = pytest.importorskip("gtsam")
+gtsam = pytest.importorskip("gtsam", reason="needs GTSAM: pip install 'heliograph[oracles]'")
 
 # Columns of our SE(2) tangent (theta, x, y) in GTSAM's order (x, y, theta).
 ORDER = {twin.SE2: [1, 2, 0]}

@@ -17,7 +17,7 @@ from heliograph.graph import (
 )
 from heliograph.graph.files.worlds import manhattan
 
-gtsam = pytest.importorskip("gtsam")
+gtsam = pytest.importorskip("gtsam", reason="needs GTSAM: pip install 'heliograph[oracles]'")
 
 ORDER = [1, 2, 0]  # our (theta, x, y) in GTSAM's order (x, y, theta)
 SIGMA = 0.1

@@ -5,7 +5,7 @@ import pytest
 
 from heliograph.graph.files.worlds import uneven
 
-gtsam = pytest.importorskip("gtsam")
+gtsam = pytest.importorskip("gtsam", reason="needs GTSAM: pip install 'heliograph[oracles]'")
 
 
 def odometry(world):

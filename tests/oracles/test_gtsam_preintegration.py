@@ -13,7 +13,7 @@ from heliograph.data import ImuBatch, ImuNoise
 from heliograph.imu import preintegrate
 from heliograph.lie import ExtendedPose, se23, so3
 
-gtsam = pytest.importorskip("gtsam")
+gtsam = pytest.importorskip("gtsam", reason="needs GTSAM: pip install 'heliograph[oracles]'")
 
 NOISE = ImuNoise(gyro=2e-3, accel=3e-2, gyro_walk=3e-3, accel_walk=2e-2)
 CONFIG = ImuConfig(curvature=0.0)

@@ -15,7 +15,7 @@ from heliograph.graph import Attitude, BearingRange, Between, Isotropic, Plane, 
 from heliograph.imu import preintegrate
 from heliograph.lie import S2, SE2, SE3, SO2, SO3, ExtendedPose, so3
 
-gtsam = pytest.importorskip("gtsam")
+gtsam = pytest.importorskip("gtsam", reason="needs GTSAM: pip install 'heliograph[oracles]'")
 
 ONE, RATE = Isotropic(1.0), 1000
 # Walks so weak that the sign of their correlation with the motion, which is wrong there, does not matter.

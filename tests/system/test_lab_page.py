@@ -117,8 +117,9 @@ def test_every_experiment_runs_in_the_page_as_in_python(browser, address, name):
 @pytest.mark.slow
 def test_families_are_measured_in_the_page(browser, address):
     opened(browser, address, "families")
-    for _ in range(4):
+    for _ in range(60):  # twenty scans through each of the three
         browser.evaluate("heliographLab.act('step')")
+    browser.wait_for(QUIET)
     shown = browser.evaluate(SHOWN)
     assert float(shown["ate_filter"]) < 20.0
     assert float(shown["ms_filter"]) > 0.0

@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from heliograph.cli import options
+from heliograph.cli.names import default_folder, unused
 
 __all__ = ["calibrate"]
 
@@ -23,7 +24,7 @@ def calibrate(
         bool, typer.Option("--noise", help="Noise of the IMU, from a rest or from the motion; needs no LiDAR.")
     ] = False,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_calibration.")
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_calibration, or _2 ...")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a calibration in the folder.")] = False,
     lidar_topic: options.LidarTopic = None,
@@ -42,8 +43,8 @@ def calibrate(
     Directions that the motion did not excite are named, and keep the mounting to start from: the recording's, or that
     of --extrinsic.
     """
-    from heliograph.cli.calibrate_mounting import mounting_command
-    from heliograph.cli.calibrate_noise import noise_command
+    from heliograph.cli.calibrate_mounting import EXTRINSIC, mounting_command
+    from heliograph.cli.calibrate_noise import NOISE, noise_command
 
     resolved = options.build_config(
         config,
@@ -51,7 +52,10 @@ def calibrate(
         run={"threads": threads},
         input=options.input_options(lidar_topic, imu_topic, extrinsic, start, duration),
     )
-    folder = output or Path(f"{recordings[0].resolve().stem}_calibration")
+    result = NOISE if noise else EXTRINSIC  # the two may lie side by side
+    folder = output or unused(
+        default_folder(recordings, "calibration"), again=overwrite, taken=lambda place: (place / result).exists()
+    )
     if noise:
         noise_command(recordings, resolved, folder, overwrite=overwrite, json=json, quiet=quiet)
         return

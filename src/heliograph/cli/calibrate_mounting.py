@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from heliograph.calibration.observability import CalibratedAxis
     from heliograph.config import RunConfig
 
-__all__ = ["calibration_facts", "mounting_command"]
+__all__ = ["EXTRINSIC", "calibration_facts", "mounting_command"]
 
-_EXTRINSIC, _FACTS = "extrinsic.toml", "calibration.json"
+EXTRINSIC, _FACTS = "extrinsic.toml", "calibration.json"
 _HEADER = """Found by `heliograph calibrate`; give it to `heliograph run --extrinsic FILE`.
 p_imu = T_imu_lidar @ p_lidar; t_imu = t_lidar + offset + drift_ppm * 1e-6 * (t_lidar - reference_ns), in seconds.
 The clock belongs to this recording: on another day calibrate again, or leave drift_ppm out."""
@@ -39,10 +39,10 @@ def mounting_command(
     """
     from heliograph.errors import OutputError
 
-    if (folder / _EXTRINSIC).exists() and not overwrite:
+    if (folder / EXTRINSIC).exists() and not overwrite:
         raise OutputError(f"{folder} holds a calibration already; choose another with -o or add --overwrite")
     found, warnings = _calibrate(paths, config, folder)
-    facts = {**calibration_facts(found), "warnings": warnings, "folder": str(folder), "files": [_EXTRINSIC, _FACTS]}
+    facts = {**calibration_facts(found), "warnings": warnings, "folder": str(folder), "files": [EXTRINSIC, _FACTS]}
     try:
         _write(folder, found, facts)
     except OutputError:  # the disk may have filled up meanwhile; what was found is told all the same
@@ -154,7 +154,7 @@ def _write(folder: Path, found: Calibration, facts: dict[str, Any]) -> None:
         "scans": found.scans,
         "duration_s": round(found.duration, 3),
     }
-    write_extrinsic(folder / _EXTRINSIC, found.rig, notes, header=_HEADER)
+    write_extrinsic(folder / EXTRINSIC, found.rig, notes, header=_HEADER)
     write_text(folder / _FACTS, jsonlib.dumps(facts, allow_nan=False, indent=1) + "\n")
 
 
@@ -221,4 +221,4 @@ def _show(found: Calibration, facts: dict[str, Any]) -> None:
     )
     if facts["files"]:
         print(f"written to {facts['folder']}: {', '.join(facts['files'])}")
-        print(f"use it: heliograph run RECORDING --extrinsic {Path(facts['folder']) / _EXTRINSIC}")
+        print(f"use it: heliograph run RECORDING --extrinsic {Path(facts['folder']) / EXTRINSIC}")

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from heliograph.imu.noise_fit import TermEstimate
     from heliograph.io import Recording
 
-__all__ = ["calibrate_noise", "noise_command", "noise_config", "noise_facts", "noise_lines", "read_imu"]
+__all__ = ["NOISE", "calibrate_noise", "noise_command", "noise_config", "noise_facts", "noise_lines", "read_imu"]
 
-_CONFIG = "noise.toml"
+NOISE = "noise.toml"
 _AXES = tuple(f"{sensor} {axis}" for sensor in ("gyro", "accel") for axis in "xyz")
 _LETTERS = {"quantisation": "Q", "white": "N", "flicker": "B", "walk": "K", "ramp": "R"}
 
@@ -41,7 +41,7 @@ def noise_command(
 
     from heliograph.errors import OutputError
 
-    if (folder / _CONFIG).exists() and not overwrite:
+    if (folder / NOISE).exists() and not overwrite:
         raise OutputError(f"{folder} holds a noise calibration already; choose another with -o or add --overwrite")
     lines, facts = calibrate_noise(paths, config, folder)
     if json:
@@ -104,7 +104,7 @@ def _write_files(
     """Write the files; return lines and facts."""
     from heliograph.atomic import write_text
 
-    files = {_CONFIG: noise_config(result, config, name), **noise_charts(result)}
+    files = {NOISE: noise_config(result, config, name), **noise_charts(result)}
     for file, content in files.items():
         write_text(folder / file, content)
     _write_table(folder / "noise.csv", result)
@@ -114,7 +114,7 @@ def _write_files(
     write_text(folder / "noise.json", _json(facts) + "\n")
     lines = [*noise_lines(result), *(f"warning: {event.message}" for event in warnings)]
     lines.append(f"written to {folder}: {', '.join(facts['files'])}")
-    lines.append(f"use it: heliograph run RECORDING --config {folder / _CONFIG}")
+    lines.append(f"use it: heliograph run RECORDING --config {folder / NOISE}")
     return lines, facts
 
 

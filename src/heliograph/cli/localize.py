@@ -13,6 +13,7 @@ import typer
 from heliograph.cli import options
 from heliograph.cli.activity import stage
 from heliograph.cli.closing import print_closing
+from heliograph.cli.names import default_folder, title, unused
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,7 +30,7 @@ def localize(
         Path, typer.Option("--map", metavar="RUN|CLOUD", help="Folder of a run, or a cloud: LAZ, LAS, PLY, PCD.")
     ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_localized.")
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Default: ./<recording>_localized, or _2 ...")
     ] = None,
     start_at: Annotated[
         str | None,
@@ -85,7 +86,7 @@ def localize(
     saved = open_map(saved_map, resolved)
     stage("opening the recording")
     opening = time.perf_counter() - began
-    name = recordings[0].resolve().stem
+    name = title(recordings[0])
     with ExitStack() as stack:
         stop = stack.enter_context(interruptible())
         recording = stack.enter_context(open_recording(recordings, resolved.input, sensors=resolved.sensors))
@@ -104,7 +105,7 @@ def localize(
             }
 
         folder = LocalizationFolder(
-            output or Path(f"{name}_localized"),
+            output or unused(default_folder(recordings, "localized"), again=overwrite),
             lambda: Localizer(saved, resolved, start=T_start, threads=cores),
             name=name, config=dump_config(resolved), facts=facts, overwrite=overwrite,
         )  # fmt: skip

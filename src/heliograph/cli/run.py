@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +13,7 @@ from heliograph.cli import options
 from heliograph.cli.activity import stage
 from heliograph.cli.closing import print_closing
 from heliograph.cli.extra_sinks import extra_sinks
+from heliograph.cli.names import default_folder, title, unused
 from heliograph.cli.options import MapFormat
 from heliograph.cli.resume import checkpoints_of, finished_run, is_run, taken_up
 from heliograph.cli.survey import check_coordinate_system, deliver_run
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from heliograph.output.sink import Sink
 
 __all__ = ["execute", "run"]
-
-_GENERIC_NAMES = ("recording", "bag", "data", "rosbag2")  # say nothing without the folder that they lie in
 
 
 def run(
@@ -114,7 +112,7 @@ def run(
         check_coordinate_system(crs)
     if resume and overwrite:
         raise typer.BadParameter("--resume goes on with a run, --overwrite begins it anew: give one of them")
-    output = unused(recordings, output, again=resume or overwrite)
+    output = output or unused(destination(recordings, None), again=resume or overwrite)
     if resume and (facts := finished_run(destination(recordings, output))) is not None:
         print_closing(facts, destination(recordings, output), json=json, quiet=quiet)
         return
@@ -193,31 +191,7 @@ def execute(
 
 def destination(recordings: list[Path], output: Path | None) -> Path:
     """Return the folder that a run writes: the one given, or one named after the recording."""
-    path = recordings[0].resolve()
-    return output or Path(f"{path.parent.name if path.stem in _GENERIC_NAMES else path.stem}_heliograph")
-
-
-def unused(recordings: list[Path], output: Path | None, *, again: bool) -> Path:
-    """Return the folder that a run writes; without a name given, one that no earlier run has: with a number behind it.
-
-    Parameters
-    ----------
-    recordings : list of Path
-    output : Path or None
-        As given.
-    again : bool
-        The run goes on with, or replaces, the last one of that name.
-    """
-    first = destination(recordings, output)
-    if output is not None:
-        return first
-    names = chain([first], (first.with_name(f"{first.name}_{number}") for number in count(2)))
-    last = first
-    for name in names:
-        if not name.is_dir() or not any(name.iterdir()):
-            return last if again else name
-        last = name
-    return last
+    return output or default_folder(recordings, "heliograph")
 
 
 def _folder(
@@ -239,7 +213,7 @@ def _folder(
     from heliograph.pipeline import sensors_in_use, thread_count
     from heliograph.report import write_report
 
-    known_versions, name = versions(), paths[0].resolve().stem
+    known_versions = versions()
 
     def facts() -> dict[str, Any]:
         recorded = plain(recording.summary())
@@ -252,7 +226,7 @@ def _folder(
 
     return RunFolder(
         output,
-        name=name if name not in _GENERIC_NAMES else f"{paths[0].resolve().parent.name}/{name}",
+        name=title(paths[0]),
         config=dump_config(config),
         output=config.output,
         T_imu_body=np.asarray(recording.transform(config.output.body)),

@@ -15,7 +15,7 @@ import pytest
 from heliograph.cli import progress
 from heliograph.cli.help import EXAMPLES
 from heliograph.cli.interrupt import interruptible
-from heliograph.cli.run import unused
+from heliograph.cli.names import default_folder, unused
 from heliograph.config_toml import load_config
 from heliograph.io.files.clouds import read_cloud
 from heliograph.io.files.tum import read_tum
@@ -354,12 +354,27 @@ def test_an_instruction_set_that_is_not_there_is_named(isa):
 
 def test_default_folders_do_not_collide(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    generic = [Path("monday/recording.mcap")]
-    assert unused(generic, None, again=False) == Path("monday_heliograph")
+    generic = default_folder([Path("monday/recording.mcap")], "heliograph")
+    assert unused(generic, again=False) == generic == Path("monday_heliograph")
     for name in ("monday_heliograph", "monday_heliograph_2"):
         Path(name).mkdir()
-        assert unused(generic, None, again=False) == Path(name), "an empty folder is nobody's"
+        assert unused(generic, again=False) == Path(name), "an empty folder is nobody's"
         Path(name, "run.json").touch()
-    assert unused(generic, None, again=False) == Path("monday_heliograph_3")
-    assert unused(generic, None, again=True) == Path("monday_heliograph_2"), "--resume and --overwrite mean the last"
-    assert unused(generic, Path("monday_heliograph"), again=False) == Path("monday_heliograph"), "a name that is given"
+    assert unused(generic, again=False) == Path("monday_heliograph_3")
+    assert unused(generic, again=True) == Path("monday_heliograph_2"), "--resume and --overwrite mean the last"
+
+
+@pytest.mark.parametrize(("kind", "file"), [("mounting", "extrinsic.toml"), ("noise", "noise.toml")])
+def test_calibrations_of_two_recordings_do_not_collide(kind, file, call, monkeypatch, tmp_path):
+    """Both recordings have the same name; mounting and noise share a folder, until one of them is found again."""
+    folders, options = [], ["--noise"] if kind == "noise" else []
+    monkeypatch.setattr(
+        f"heliograph.cli.calibrate_{kind}.{kind}_command", lambda _paths, _config, folder, **_: folders.append(folder)
+    )
+    for day in ("monday", "tuesday", "monday"):
+        assert call("calibrate", tmp_path / day / "recording.mcap", *options)[0] == 0
+        folders[-1].mkdir(exist_ok=True)
+        (folders[-1] / file).touch()
+    assert [str(folder) for folder in folders] == ["monday_calibration", "tuesday_calibration", "monday_calibration_2"]
+    other = {"extrinsic.toml": "noise.toml", "noise.toml": "extrinsic.toml"}[file]
+    assert not (tmp_path / "monday_calibration" / other).exists()
