@@ -22,7 +22,7 @@ from heliograph.odometry.filter.error_state import mounting_error
 from heliograph.odometry.filter.innovation import InnovationTest
 from heliograph.odometry.filter.lasting import MatchedPoints
 from heliograph.odometry.filter.measurement import ScanMeasurement
-from heliograph.odometry.filter.sight import SightOfScans
+from heliograph.odometry.filter.sight import SeenInformation, SightOfScans
 from heliograph.odometry.filter.update import FilterUpdate, iterated_update, weighed_less
 from heliograph.registration import MatchSettings, NormalEquations, linearize
 from heliograph.snapshots import PART, Stateful
@@ -286,7 +286,8 @@ class ScanMatcher(Stateful):
         fit = self.registered(prior, local_map, points_at, before_end, terms, sweep_noise)
         if not self._trusted(prior, fit.measurement.sums, terms):
             return None
-        self._sight.take(fit.measurement.sums, fit.linearized_at)
+        together = fit.measurement.together
+        self._sight.take(together or SeenInformation.of(fit.measurement.sums, fit.linearized_at))
         return fit if sweep_noise is None else self._believed(fit, prior, terms)
 
     def registered(

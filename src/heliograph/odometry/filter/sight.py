@@ -167,6 +167,6 @@ class SightOfScans(Stateful):
         """Tell whether a scan is so sure of all that it sees that others would add nothing."""
         return self._count == 0 or bool(found.feigned.max() < _PLAIN)
 
-    def take(self, sums: NormalEquations, state: NavState) -> None:
-        """Take in a scan at its final pose."""
-        self._take(self.with_scan(sums, state))
+    def take(self, seen: SeenInformation) -> None:
+        """Remember what a scan saw with those before it at its final pose; one that is sure stands for itself."""
+        self._take(seen)

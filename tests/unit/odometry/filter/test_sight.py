@@ -8,7 +8,7 @@ import pytest
 from heliograph.config import MapConfig
 from heliograph.maps import VoxelMap
 from heliograph.odometry.filter.measurement import ScanMeasurement
-from heliograph.odometry.filter.sight import SightOfScans
+from heliograph.odometry.filter.sight import SeenInformation, SightOfScans
 from heliograph.registration import MatchSettings, linearize, split_information, true_share
 from heliograph.testing import assert_goes_on
 from states import random_state
@@ -52,7 +52,7 @@ def test_chance_averages_out_on_the_way_and_not_at_rest(step):
     sight, sums = SightOfScans(), scans(5)
     for k, one in enumerate(sums):
         together = sight.with_scan(one, at(k * step))
-        sight.take(one, at(k * step))
+        sight.take(together)
     alone = SightOfScans().with_scan(sums[-1], at(0.0)).scatter
     assert together.count == 5
     assert together.scatter == pytest.approx(alone / np.sqrt(5) if step else alone, rel=0.15)
@@ -77,7 +77,7 @@ def test_ends_that_come_into_view_are_seen_at_once_and_missed_at_once():
     for first, second in ((blind, open_), (open_, blind)):
         sight = SightOfScans()
         for k in range(5):
-            sight.take(first, at(0.5 * k))
+            sight.take(sight.with_scan(first, at(0.5 * k)))
         together = sight.with_scan(second, at(2.5))
         assert together.count == 1
         assert bool(together.pose().share.all()) is (second is open_)
@@ -86,7 +86,7 @@ def test_ends_that_come_into_view_are_seen_at_once_and_missed_at_once():
 def test_a_scan_that_is_sure_needs_no_others():
     (sums,) = scans(1, ends=True)
     sight = SightOfScans()
-    sight.take(scans(1)[0], at(0.0))
+    sight.take(SeenInformation.of(scans(1)[0], at(0.0)))
     sure = split_information(sums.information, 1e-3 * sums.feigned, 0.1, 1.0)
     assert sight.plain(sure)
     assert not sight.plain(true_share(scans(1)[0]))
@@ -107,7 +107,8 @@ def test_it_goes_on_from_its_state():
     sums = scans(3)
 
     def step(sight, k):
-        sight.take(sums[k], at(0.3 * k))
-        return sight.with_scan(sums[k], at(0.3 * k)).scatter
+        together = sight.with_scan(sums[k], at(0.3 * k))
+        sight.take(together)
+        return together.scatter
 
     assert_goes_on(SightOfScans, step, range(3), at=2)
