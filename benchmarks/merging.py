@@ -16,6 +16,7 @@ from heliograph.io import read_tum
 from heliograph.io.files.clouds import read_cloud
 from heliograph.metrics import align
 from heliograph.sim import SCENARIOS, Scenario, Simulation, simulate
+from heliograph.sim.map_error import map_error
 from heliograph.sim.world import SimulatedWorld
 from heliograph.sim.write import write_recording
 
@@ -76,19 +77,9 @@ def _judged(root: Path, told: dict[str, Any], simulations: dict[str, Simulation]
 
 
 def _to_surfaces(world: SimulatedWorld, points: Array) -> list[float]:
-    """Return median and 95 % quantile of the distance of some points to the nearest surface [mm]."""
-    some = points[:: 1 + len(points) // 20_000]
-    nearest = np.full(len(some), np.inf)
-    for p in world.primitives:
-        local = (some - p.center) @ p.R_world_local
-        beyond = np.abs(local) - p.half
-        if p.shape == "cylinder":
-            beyond = np.column_stack([np.hypot(local[:, 0], local[:, 1]) - p.half[0], beyond[:, 2]])
-        distance = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
-        if p.shape != "rectangle":
-            distance = np.where((beyond <= 0.0).all(axis=1), -beyond.max(axis=1), distance)
-        nearest = np.minimum(nearest, distance)
-    return [round(1e3 * float(q), 2) for q in np.quantile(nearest, (0.5, 0.95))]
+    """Return median and 95 % quantile of the distance of a map's points to the nearest surface [mm]."""
+    error = map_error(world, points)
+    return [round(1e3 * value, 2) for value in (error.median, error.p95)]
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from heliograph.odometry import make_odometry
 from heliograph.output import FinalPoses
 from heliograph.output.map_writer import MapWriter
 from heliograph.sim import SCENARIOS, simulate
-from surface_distance import surface_distance
 
 # The IMU starts at (5.0, 1.4, 1.4) in a room whose walls are at 0 and 10, 0 and 7, 0 and 2.8 m: all on the grid.
 ROOM = SCENARIOS["room"]
@@ -34,7 +33,7 @@ def written_map(folder, scenario, *, seed=1, **output):
 
 
 def assert_on_the_surfaces(points, world):
-    off = surface_distance(world, points)
+    off = world.distance(points)
     assert np.median(off) <= 3e-3
     assert np.percentile(off, 95) <= 0.02
     assert np.mean(off > 0.05) < 5e-3
@@ -60,7 +59,7 @@ def test_map_of_a_room_on_the_grid_lies_on_its_surfaces(tmp_path):
 def test_map_of_cells_alone_has_double_walls(tmp_path):
     """What the test above is there to find."""
     points, world = written_map(tmp_path, FAST, surface_thickness=0.0)
-    assert np.median(surface_distance(world, points)) > 6e-3
+    assert np.median(world.distance(points)) > 6e-3
     with pytest.raises(AssertionError):
         assert_walls_are_single(points)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as jsonlib
+from dataclasses import asdict
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +15,8 @@ from heliograph.cli.activity import stage
 
 if TYPE_CHECKING:
     from heliograph.data import Trajectory
-    from heliograph.metrics import Evaluation
+    from heliograph.metrics import Association, Evaluation
+    from heliograph.sim.map_error import MapError
 
 __all__ = ["evaluate", "evaluation_lines", "read_trajectory"]
 
@@ -43,8 +45,12 @@ def evaluate(
     ] = None,
     json: options.Json = False,
 ) -> None:
-    """Compare a trajectory with a reference: absolute error (ATE) and relative error (RPE)."""
+    """Compare a trajectory with a reference: absolute error (ATE) and relative error (RPE).
+
+    A run's map is compared with the surfaces of the world where the reference is a simulated recording.
+    """
     from heliograph.errors import ConfigError
+    from heliograph.metrics import associate
     from heliograph.metrics import evaluate as evaluate_trajectory
 
     try:
@@ -57,14 +63,49 @@ def evaluate(
     ours, theirs = read_trajectory(estimate, "trajectory.tum"), read_trajectory(reference, "groundtruth_imu.tum")
     stage("comparing")
     result = evaluate_trajectory(ours, theirs, align=align.value, delta=delta, time_offset=offset)
+    pair = associate(ours, theirs, time_offset=result.time_offset)
     if plot is not None:
         from heliograph.atomic import write_text
-        from heliograph.metrics import associate
         from heliograph.report.pages import evaluation_page
 
-        pair = associate(ours, theirs, time_offset=result.time_offset)
         write_text(plot, evaluation_page(pair, result, evaluation_lines(result)))
-    typer.echo(jsonlib.dumps(result.as_dict()) if json else "\n".join(evaluation_lines(result)))
+    error, why_not = _map_error(estimate, reference, pair)
+    if json:
+        facts = result.as_dict()
+        typer.echo(jsonlib.dumps(facts if error is None else {**facts, "map": asdict(error)}))
+    else:
+        typer.echo("\n".join([*evaluation_lines(result), *(why_not if error is None else [_map_line(error)])]))
+
+
+def _map_error(run: Path, recording: Path, pair: Association) -> tuple[MapError | None, list[str]]:
+    """Return how far a run's map is from the world of a simulated recording, where there are both, or why not."""
+    path = next((path for path in (run / "map.ply", run / "map.pcd") if path.is_file()), None)
+    if path is None:
+        return None, []
+    from heliograph.errors import HeliographError
+    from heliograph.io.files.clouds import read_cloud
+    from heliograph.lie import se3
+    from heliograph.metrics import align_poses
+    from heliograph.sim.map_error import map_error
+    from heliograph.sim.write import read_simulation
+
+    stage("measuring the map")
+    try:
+        simulation = read_simulation(recording)
+        if simulation is None:
+            return None, []
+        points = read_cloud(path).points.astype("float64")
+        T_world_map = align_poses(pair.T_estimate, pair.T_reference)
+        return map_error(simulation.world, se3.act(T_world_map, points)), []
+    except HeliographError as error:
+        return None, [f"map  not compared with the world: {error}"]
+
+
+def _map_line(error: MapError) -> str:
+    return (
+        f"map  {error.points} of its points are off the world's surfaces by {1e3 * error.median:.1f} mm (median), "
+        f"{1e3 * error.p95:.1f} mm (95 %); {100.0 * error.far_share:.2f} % by more than 50 mm"
+    )
 
 
 def read_trajectory(path: Path, in_folder: str) -> Trajectory:

@@ -6,6 +6,7 @@ References
 .. [2] S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns", PAMI 1991.
 .. [3] Z. Zhang, D. Scaramuzza, "A tutorial on quantitative trajectory evaluation", IROS 2018 (alignment about the
    vertical).
+.. [4] G. Wahba, "A least squares estimate of satellite attitude", SIAM Review 1965.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ __all__ = [
     "RelativeError",
     "absolute_trajectory_error",
     "align",
+    "align_poses",
     "associate",
     "best_time_offset",
     "change_body",
@@ -38,6 +40,7 @@ __all__ = [
 
 ALIGNMENTS = ("se3", "yaw", "origin", "none")
 # Positions that spread less than this across their main direction do not determine a rotation.
+_EXACT = 1e-9  # errors below count as this [m], [rad]
 _MIN_SPREAD = 1e-6
 
 
@@ -216,6 +219,43 @@ def align(T_estimate: Array, T_reference: Array, mode: str = "se3") -> Array:
     center_estimate, center_reference = p_estimate.mean(axis=0), p_reference.mean(axis=0)
     cross = (p_reference - center_reference).T @ (p_estimate - center_estimate) / len(p_estimate)
     R = _rotation_yaw(cross) if mode == "yaw" else _rotation_full(cross)
+    return se3.from_rotation_translation(R, center_reference - R @ center_estimate)
+
+
+def align_poses(T_estimate: Array, T_reference: Array) -> Array:
+    """Return the transform that brings an estimate's fixed frame onto the reference's, by orientations and positions.
+
+    Positions alone leave the rotation open where a body rests or goes straight ahead; a map is then turned away.
+    Wahba's problem [4]_ with vectors of both kinds: positions count by their error, orientations by theirs, as the mean
+    of the orientations' differences shows them.
+
+    Parameters
+    ----------
+    T_estimate, T_reference : (N, 4, 4) float64
+        Poses at the same instants.
+
+    Returns
+    -------
+    (4, 4) float64
+        ``T_reference_estimate``.
+
+    Raises
+    ------
+    DataError
+        There are no poses.
+    """
+    if len(T_estimate) == 0:
+        raise DataError("T_estimate holds no poses; at least one pair is needed")
+    p_estimate, p_reference = T_estimate[:, :3, 3], T_reference[:, :3, 3]
+    center_estimate, center_reference = p_estimate.mean(axis=0), p_reference.mean(axis=0)
+    around_estimate, around_reference = p_estimate - center_estimate, p_reference - center_reference
+    differences = (T_reference[:, :3, :3] @ T_estimate[:, :3, :3].swapaxes(1, 2)).mean(axis=0)
+    R = so3.project(differences)
+    aligned = R @ T_estimate[:, :3, :3]
+    turned = np.radians(_rms(_angle_deg(so3.inverse(T_reference[:, :3, :3]) @ aligned)))
+    moved = _rms(np.linalg.norm(around_estimate @ R.T - around_reference, axis=1))
+    cross = around_reference.T @ around_estimate / len(p_estimate)
+    R = so3.project(cross / max(moved, _EXACT) ** 2 + 0.5 * differences / max(turned, _EXACT) ** 2)
     return se3.from_rotation_translation(R, center_reference - R @ center_estimate)
 
 

@@ -189,3 +189,24 @@ class SimulatedWorld:
         poses = frozen("T_world_sensor", T_world_sensor, np.float64, (rows_columns[1], 4, 4))
         hit = self._scene.cast(directions, poses, min_range, max_range, threads)
         return Returns(range=hit[0], brightness=hit[1], primitive=hit[2])
+
+    def distance(self, points_world: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far points (N, 3) lie from the nearest surface, inside or outside of what it bounds, (N,) [m].
+
+        Raises
+        ------
+        DataError
+            An array of another dtype or shape.
+        """
+        points = frozen("points_world", points_world, np.float64, (None, 3))
+        nearest = np.full(len(points), np.inf)
+        for p in self.primitives:
+            local = (points - p.center) @ p.R_world_local
+            beyond = np.abs(local) - p.half
+            if p.shape == "cylinder":
+                beyond = np.column_stack([np.hypot(local[:, 0], local[:, 1]) - p.half[0], beyond[:, 2]])
+            distance = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+            if p.shape != "rectangle":  # which has no inside
+                distance = np.where((beyond <= 0.0).all(axis=1), -beyond.max(axis=1), distance)
+            np.minimum(nearest, distance, out=nearest)
+        return nearest

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import re
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -15,14 +16,14 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from heliograph.errors import OutputError
+from heliograph.errors import FormatError, OutputError
 from heliograph.lie import se3, so3
 from heliograph.sim.layouts import SimulatedLayout, find_layout
 from heliograph.sim.messages import Messages
-from heliograph.sim.scenario import Scenario, to_toml
+from heliograph.sim.scenario import Scenario, from_toml, to_toml
 from heliograph.sim.simulate import EPOCH_NS, Simulation
 
-__all__ = ["SimulatedRecording", "write_recording"]
+__all__ = ["SimulatedRecording", "read_simulation", "write_recording"]
 
 _Message = tuple[int, int, str, bytes | memoryview]
 _TYPES = {
@@ -125,6 +126,29 @@ def write_recording(
         imu_samples=len(simulation.imu_stamps_ns),
         duration=simulation.duration_ns * 1e-9,
     )
+
+
+def read_simulation(folder: Path | str) -> Simulation | None:
+    """Return the simulation that a recording of `write_recording` was made by, None where the folder holds none.
+
+    Raises
+    ------
+    FormatError
+        ``scenario.toml`` cannot be read, or does not begin with the seed.
+    ConfigError
+        It is no scenario.
+    """
+    path = Path(folder) / "scenario.toml"
+    if not path.is_file():
+        return None
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    found = re.match(r"# seed (\d{1,18})\b", text)
+    if found is None:
+        raise FormatError(path, "does not begin with the line '# seed N' that it was written with")
+    return Simulation(from_toml(text), int(found[1]))
 
 
 def _write_files(

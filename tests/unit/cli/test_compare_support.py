@@ -53,6 +53,22 @@ def test_compare_and_evaluate_write_pages_that_need_nothing_else(runs, tmp_path,
     assert first in page.read_text() and "Error of the position" in page.read_text()
 
 
+def test_evaluate_holds_the_map_against_the_simulated_world(runs, tmp_path, capsys):
+    made = tmp_path / "made"
+    made.mkdir()
+    for name in ("groundtruth_imu.tum", "scenario.toml"):
+        shutil.copy(runs / "made" / name, made / name)
+    assert main(["evaluate", str(runs / "one"), str(made)]) == 0
+    assert "of its points are off the world's surfaces by" in capsys.readouterr().out
+    assert main(["evaluate", str(runs / "one"), str(made), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["map"]
+    assert found["points"] > 1000 and 0.0 < found["median"] < 0.01 and found["far_share"] < 0.01
+    (made / "scenario.toml").write_text("name = 3")
+    assert main(["evaluate", str(runs / "one"), str(made)]) == 0
+    shown = capsys.readouterr().out
+    assert "ATE" in shown and "map  not compared with the world" in shown and "scenario.toml" in shown
+
+
 def test_compare_of_a_run_with_itself_differs_in_nothing(runs, capsys):
     assert main(["compare", str(runs / "one"), str(runs / "one")]) == 0
     assert "the settings are the same" in capsys.readouterr().out

@@ -7,6 +7,7 @@ from heliograph.lie import se3, so3
 from heliograph.metrics import (
     absolute_trajectory_error,
     align,
+    align_poses,
     associate,
     best_time_offset,
     change_body,
@@ -227,3 +228,23 @@ def test_path_length_and_gap_of_a_square():
     square = Trajectory(stamps_ns=np.arange(5), T_frame_body=corners)
     assert path_length(square) == pytest.approx(7.5)
     assert start_end_gap(square) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("path", ["rest", "straight", "round"])
+def test_poses_align_where_positions_alone_leave_the_rotation_open(path, rng):
+    s = np.linspace(0.0, 2.0 * np.pi, 200)
+    p = {
+        "rest": np.zeros((200, 3)),
+        "straight": np.stack([10.0 * s, 0.0 * s, 0.0 * s], axis=-1),
+        "round": np.stack([20.0 * np.cos(s), 20.0 * np.sin(s), np.sin(s)], axis=-1),
+    }[path]
+    T_reference = se3.from_rotation_translation(so3.exp(np.stack([0.0 * s, 0.1 * np.sin(s), s], axis=-1)), p)
+    T_truth = se3.exp([0.3, -0.4, 2.0, 5.0, -7.0, 1.0])
+    noise = np.concatenate([1e-4 * rng.standard_normal((200, 3)), 2e-3 * rng.standard_normal((200, 3))], axis=1)
+    T_estimate = se3.inverse(T_truth) @ T_reference @ se3.exp(noise)
+    off = se3.local(T_truth, align_poses(T_estimate, T_reference))
+    assert np.linalg.norm(off[:3]) < 1e-4
+    if path == "round":  # long positions tell more than orientations, and are listened to
+        np.testing.assert_allclose(align_poses(T_estimate, T_reference), align(T_estimate, T_reference), atol=1e-3)
+    exact = align_poses(se3.inverse(T_truth) @ T_reference, T_reference)
+    np.testing.assert_allclose(exact, T_truth, atol=1e-7)

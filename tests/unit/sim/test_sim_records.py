@@ -82,28 +82,8 @@ def test_points_deskewed_with_truth_lie_on_the_surfaces():
     T = simulation.truth.lidar_pose(scan.stamp_ns + scan.offsets_ns.astype(np.int64))
     deskewed = np.einsum("nij,nj->ni", T[:, :3, :3], scan.points.astype(np.float64)) + T[:, :3, 3]
     frozen = scan.points @ T[0, :3, :3].T + T[0, :3, 3]
-    assert np.quantile(surface_distance(simulation.world, deskewed), 0.999) < 1e-5
-    assert np.quantile(surface_distance(simulation.world, frozen), 0.9) > 0.03
-
-
-def surface_distance(world, points):
-    """Distance of each point from the nearest primitive's surface, one primitive at a time."""
-    best = np.full(len(points), np.inf)
-    for p in world.primitives:
-        local = (points - p.center) @ p.R_world_local
-        if p.shape == "cylinder":
-            local = np.stack([np.hypot(local[:, 0], local[:, 1]), 0 * local[:, 0], local[:, 2]], axis=1)
-            half = np.array([p.half[0], 1.0, p.half[2]])
-        else:
-            half = p.half
-        outside = np.abs(local) - half
-        distance = np.linalg.norm(np.maximum(outside, 0.0), axis=1)
-        if p.shape == "cylinder":
-            inside = np.minimum(-outside[:, 0], -outside[:, 2])
-        else:
-            inside = -outside.max(axis=1) if p.shape == "box" else np.zeros(len(points))
-        best = np.minimum(best, np.where(distance > 0.0, distance, np.abs(inside)))
-    return best
+    assert np.quantile(simulation.world.distance(deskewed), 0.999) < 1e-5
+    assert np.quantile(simulation.world.distance(frozen), 0.9) > 0.03
 
 
 def test_records_come_in_causal_order_and_complete():
