@@ -201,3 +201,21 @@ def test_results_of_the_real_drive_keep_the_bars():
     low, high = cuts["band"]
     assert low <= cuts["mean_nees"] <= high
     assert cuts["cuts"] == 20
+
+
+def test_runs_that_come_back_are_scored_by_their_revisits_gap_and_kink(harness):
+    from benchmarks import loop_runs
+
+    lap = np.array([(x, 0.0, 0.0) for x in range(40)] + [(40.0 - x, 8.0, 0.0) for x in range(40)], float)
+    T = np.tile(np.eye(4), (220, 1, 1))
+    T[:, :3, 3] = np.vstack([lap, lap, lap[:60]]) + np.r_[np.zeros(80), np.full(140, 0.5)][:, None] * [0.0, 1.0, 0.0]
+    groups = loop_runs._groups(T)
+    assert [min(group) for group in groups] == [80] and len(groups[0]) == 140  # the leg beside is 8 m off
+    T[80:, 2, 3] += 3.0
+    assert [min(group) for group in loop_runs._groups(T)] == [160]  # the storey above is another place
+    stamps = 10**9 * np.arange(220, dtype=np.int64)
+    true = Trajectory(stamps_ns=stamps, T_frame_body=T, frame="world", body="imu")
+    moved = np.array([np.eye(4)] * 220)
+    moved[110:, 0, 3] = 0.02
+    bent = Trajectory(stamps_ns=stamps, T_frame_body=moved @ T, frame="map", body="imu")
+    assert loop_runs._gap(bent, true) == pytest.approx(0.02) and loop_runs._kink(true, bent) == pytest.approx(0.02)

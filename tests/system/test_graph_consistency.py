@@ -1,5 +1,7 @@
 """The graph's covariance is true: NEES of keyframe poses over seeds lies in its band, before and after loops."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -112,3 +114,17 @@ def test_poses_lie_within_their_covariance_before_and_after_loops(tmp_path, iner
 @pytest.mark.parametrize("inertial", [False, True])
 def test_poses_of_many_seeds_lie_within_their_covariance(tmp_path, inertial):
     assert_in_band([nees_before_and_after(seed, inertial, tmp_path) for seed in range(100, 120)])
+
+
+@pytest.mark.parametrize("inertial", [False, True])
+def test_benchmark_measures_the_same(monkeypatch, inertial):
+    """`benchmarks.graph_sigmas` solves graphs anew out of keyframes: errors as large as their covariance says."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2]))
+    from benchmarks.graph_sigmas import graph_nees
+
+    T_true = np.array([true_pose(float(k)) for k in range(COUNT)])
+    some = [list(keyframes(np.random.default_rng([43, seed]), inertial)) for seed in range(2)]
+    nees = [graph_nees(walk, (), T_true, RunConfig(), inertial=inertial, every=20)[0] for walk in some]
+    assert np.shape(nees) == (2, 3, 2)
+    whole, place = np.mean(nees, axis=(0, 1))
+    assert 1.5 < whole < 14.0 and 0.7 < place < 8.0  # six and three expected, of numbers that hang together
