@@ -29,7 +29,8 @@ class SlamConfig:
     cloud_voxel : float
         One point a cube of this edge is kept of a keyframe's scan [m].
     step_rotation_sigma_deg, step_position_sigma : float
-        Least standard deviation of the odometry's step between two keyframes [deg], [m].
+        Least standard deviation of the odometry's step between two keyframes [deg], [m]: slack of the gates for slips
+        that it does not know of. In a graph with an IMU the factor of a step has a tenth of it.
     level_sigma_deg : float
         What the first pose's level may be off where the odometry does not tell [deg].
     loop_every : int

@@ -19,7 +19,7 @@ from heliograph.graph import ISAM2, Between, Covariance, FactorGraph, Symbol, Va
 from heliograph.lie import SE3, se3
 from heliograph.slam.covariances import OdometryChain
 from heliograph.slam.gnss import GnssFactors, KeptFixes
-from heliograph.slam.inertial_factors import InertialFactors
+from heliograph.slam.inertial_factors import InertialFactors, scan_covariance
 from heliograph.slam.levelling import Levelling
 from heliograph.slam.loop_search import Candidate, LoopSearch
 from heliograph.slam.loops import Ledger, LedgerEntry, LoopEvidence, diagonal, finished
@@ -292,8 +292,17 @@ class BackEnd:
         return np.ascontiguousarray(self._smoother.estimate(keys).matrix[:, :4, :4])
 
     def covariance(self, index: int) -> Array:
-        """Return the covariance of a keyframe's pose, right perturbation (6, 6); the first defines the frame."""
-        return np.asarray(self._smoother.covariance(X(index))[:6, :6])
+        """Return the covariance of a keyframe's pose, right perturbation (6, 6); the first defines the frame.
+
+        Its own scan's noise is in it, and that of the scan by which the frame was laid: the graph's steps hold neither.
+        """
+        own = np.asarray(self._smoother.covariance(X(index))[:6, :6])
+        if index == 0 or not isinstance(self._factors, InertialFactors):
+            return own
+        first = scan_covariance(self.store[1].lidar_information)  # the first scan is matched with nothing
+        T = self.T_map_imu[[0, index]]
+        carry = se3.adjoint(se3.inverse(T[1]) @ T[0])
+        return np.asarray(own + scan_covariance(self.store[index].lidar_information) + carry @ first @ carry.T)
 
     @property
     def moved(self) -> float:

@@ -18,12 +18,14 @@ from heliograph.graph import Between, Covariance, Diagonal, FactorGraph, Partial
 from heliograph.imu import preintegrate
 from heliograph.lie import SE3, ExtendedPose, se3
 
-__all__ = ["VELOCITY_ROWS", "InertialFactors", "seen_covariance"]
+__all__ = ["VELOCITY_ROWS", "InertialFactors", "scan_covariance", "seen_covariance"]
 
 X, B = Symbol("X"), Symbol("B")
 
 _HELD = 1e-6  # sigma of what defines the frame: heading [rad] and position [m]
 _UNSEEN, _UNSEEN_TURN = 100.0, 3.0  # sigmas of a pose in a direction that a scan does not see [m], [rad]
+_SEEN, _SEEN_TURN = 0.005, math.radians(0.05)  # half of what the IMU knows of a second's motion by itself [m], [rad]
+_KEPT = 0.01  # of a step's slack, as a variance: the factor of the step has it, the gates have all of it
 _SPEED = 3.0  # sigma of a velocity that nothing measures [m/s]
 VELOCITY_ROWS = (6, 7, 8)
 
@@ -80,7 +82,7 @@ class InertialFactors:
         step = np.ascontiguousarray(se3.inverse(before.T_odom_imu) @ keyframe.T_odom_imu)
         T_map_odom = T_map_before @ se3.inverse(before.T_odom_imu)
         state = _state(T_map_before @ step, T_map_odom[:3, :3] @ keyframe.v_odom)
-        graph.add(Between(i, j, SE3(step), Covariance(seen_covariance(before, keyframe))))
+        graph.add(Between(i, j, SE3(step), Covariance(self._step_covariance(before, keyframe))))
         if len(keyframe.imu):
             motion = preintegrate(
                 keyframe.imu, before.stamp_ns, keyframe.stamp_ns, noise=self._noise, config=self._imu,
@@ -97,6 +99,18 @@ class InertialFactors:
         values.insert(j, state)
         values.insert(bias_j, _biases(keyframe))
         return graph, values
+
+    def _step_covariance(self, before: Keyframe, keyframe: Keyframe) -> Array:
+        """Return the covariance of the factor of a step, (6, 6): eq. (2) without what does not add up over steps."""
+        c = self._config
+        slack = np.repeat([math.radians(c.step_rotation_sigma_deg), c.step_position_sigma], 3)
+        values, vectors = np.linalg.eigh(keyframe.step_covariance / slack[:, None] / slack)
+        own = (vectors * np.maximum(values - 1.0 + _KEPT, _KEPT)) @ vectors.T
+        covariance = slack[:, None] * own * slack + _unseen(keyframe.lidar_information)
+        if before.index == 0 and not before.lidar_information.any():
+            return np.asarray(covariance)
+        carry = se3.adjoint(se3.inverse(keyframe.T_odom_imu) @ before.T_odom_imu)
+        return np.asarray(covariance + carry @ _unseen(before.lidar_information) @ carry.T)
 
     def _bias_noise(self) -> Diagonal:
         return Diagonal(np.repeat([self._imu.gyro_bias_sigma, self._imu.accel_bias_sigma], 3))
@@ -123,6 +137,22 @@ def seen_covariance(before: Keyframe, keyframe: Keyframe) -> Array:
         return np.asarray(covariance)
     carry = se3.adjoint(se3.inverse(keyframe.T_odom_imu) @ before.T_odom_imu)
     return np.asarray(covariance + carry @ _left_open(before.lidar_information) @ carry.T)
+
+
+def _unseen(information: Array) -> Array:
+    """Return by how much a scan leaves its pose more open than `_SEEN`; what it sees better is not the IMU's to tell.
+
+    The error of a scan that sees is in the steps to it and from it with opposite signs, and does not add up; along a
+    direction that it does not see the IMU must carry the graph.
+    """
+    scale = np.array([_SEEN_TURN] * 3 + [_SEEN] * 3)
+    values, vectors = np.linalg.eigh(_left_open(information) / scale[:, None] / scale)
+    return np.asarray(scale[:, None] * ((vectors * np.maximum(values - 1.0, 0.0)) @ vectors.T) * scale)
+
+
+def scan_covariance(information: Array) -> Array:
+    """Return how far a pose may be off for its own scan's noise, (6, 6): what `_unseen` leaves out; 0 where unknown."""
+    return _left_open(information) - _unseen(information) if information.any() else np.zeros((6, 6))
 
 
 def _left_open(information: Array) -> Array:

@@ -1,5 +1,7 @@
 """Keyframes with an IMU: along what the LiDAR does not see the IMU carries the graph, elsewhere it does not bend it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -98,3 +100,25 @@ def test_gap_of_the_imu_leaves_a_graph(tmp_path):
     frames[6] = Keyframe(**empty)
     back_end = graph_of(frames, tmp_path)
     np.testing.assert_allclose(back_end.T_map_imu[:, :3, 3], truth(12), atol=0.02)
+
+
+def test_errors_of_scans_do_not_add_up(tmp_path):
+    """Each pose is off by its own scan's noise: the sigmas say that, far along the way as at its beginning."""
+    sigma, slack = np.repeat([1e-4, 1e-3], 3), np.repeat([np.radians(0.01), 1e-3], 3)
+    rng, count, nees, spread = np.random.default_rng(4), 80, [], []
+    frames = []
+    for frame in keyframes(count):
+        off = sigma * rng.standard_normal(6)
+        frames.append(replace(
+            frame, T_odom_imu=frame.T_odom_imu @ se3.exp(off), lidar_information=np.diag(sigma**-2) * (frame.index > 0),
+            step_covariance=np.diag(slack**2) * (frame.index > 0),
+        ))  # fmt: skip
+    back_end = graph_of(frames, tmp_path)
+    p = truth(count)
+    for index in range(10, count, 10):
+        T_true = se3.from_rotation_translation(np.eye(3), p[index])
+        d, P = se3.local(back_end.T_map_imu[index], T_true)[3:5], back_end.covariance(index)[3:5, 3:5]
+        nees.append(d @ np.linalg.solve(P, d))
+        spread.append(np.sqrt(np.diag(P)).max())
+    assert 0.1 < np.mean(nees) < 6.0  # two expected, of errors that hang together; 0.02 where they add up
+    assert max(spread) < 0.02  # and 0.08

@@ -20,7 +20,8 @@ COUNT, WINDOW, SECOND = 60, 15, 10**9
 def keyframes(count, blind=()):
     """Yield keyframes on a circle at 1 m/s, with an IMU between them; some see nothing along the way."""
     rng = np.random.default_rng(3)
-    rate, step = 0.05, np.diag([1e-4**2] * 3 + [2e-3**2] * 3)
+    rate, slack = 0.05, np.repeat([np.radians(0.01), 1e-3], 3)  # each step has slack for slips beside its own
+    step = np.diag([1e-4**2] * 3 + [2e-3**2] * 3) + np.diag(slack**2)
     for k in range(count):
         stamps = np.arange((k - 1) * SECOND - SECOND // 50, k * SECOND + SECOND // 50 + 1, SECOND // 50)
         noise = rng.standard_normal((2, len(stamps), 3))
