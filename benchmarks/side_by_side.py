@@ -73,8 +73,8 @@ def side_by_side_section(rows: Sequence[dict[str, Any]], table: Callable[[list[s
     ]  # fmt: skip
     return "\n".join([
         "## Filter, graph, LOAM", "",
-        "The demo recording (one lap of 40 m, 33 s) through `heliograph run` on one thread of a machine with other work "
-        "on it: times by the clock. The walk ends where it began, but for some millimetres. `python -m benchmarks "
+        "The demo recording (one lap of 40 m, 33 s) through `heliograph run` on one thread of a machine with other "
+        "work on it: times by the clock. The walk ends where it began, but for some millimetres. `python -m benchmarks "
         "side-by-side`.",
         "", table(head, body), "",
     ])  # fmt: skip
