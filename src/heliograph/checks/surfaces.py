@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import Array
 from heliograph.data import ScanResult
-from heliograph.lie import so3
 from heliograph.snapshots import Stateful, array, fixed
 
 __all__ = ["SurfaceWatch", "Thickness"]
@@ -23,6 +22,7 @@ _WINDOW_S, _WINDOW_M = 20.0, 30.0  # the odometry's own drift over more is no sm
 _MIN_POINTS, _MIN_CUBES = 25, 12
 _MIN_SPREAD = 0.1  # of a cube's points across the wall's plane, standard deviation along its shorter side [m]
 _CLEAN_QUANTILE = 0.25  # cubes with an edge, a chair or a leaf in them are thick whatever the run: the cleanest tell
+_FULL_CHORD = np.sqrt(8.0)  # Frobenius norm of the difference between two rotations half a turn apart
 _TURNING, _FAR = 0.4, 8.0  # rate of the body [rad/s], range of a point [m]
 _INDEX_BITS, _INDEX_MASK = 21, (1 << 21) - 1
 
@@ -86,8 +86,8 @@ class SurfaceWatch(Stateful):
         position = result.T_odom_imu[:3, 3]
         if self._begin is None:
             self._begin = (result.end_ns, position.copy())
-        turn = so3.log(before.T_odom_imu[:3, :3].T @ result.T_odom_imu[:3, :3])
-        turning = float(np.linalg.norm(turn)) / seconds > _TURNING
+        chord = float(np.linalg.norm(result.T_odom_imu[:3, :3] - before.T_odom_imu[:3, :3]))
+        turning = 2.0 * float(np.arcsin(min(chord / _FULL_CHORD, 1.0))) / seconds > _TURNING
         picked = result.points_imu[:: max(1, len(result.points_imu) // _POINTS)].astype(np.float64)
         far = np.einsum("ij,ij->i", picked, picked) > _FAR**2
         self._points.append(picked @ result.T_odom_imu[:3, :3].T + position)

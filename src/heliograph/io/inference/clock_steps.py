@@ -15,9 +15,12 @@ from heliograph.io.raw import RawCloud, RawImu, RawMessage
 __all__ = ["ClockFollower"]
 
 _JUMP_NS = 800_000_000  # of a stamp against the times of reception that no queue explains [ns]
+_SMALL_NS = 100_000_000  # least step of a clock that is told from a queue by more than its size [ns]
 _ALIKE_NS = 20_000_000  # by which two sensors may show the same step differently [ns]
 _KNOWN = 8  # messages after which the least delay of a topic is known
+_KNOWN_WELL = 20  # and after which a smaller step shows
 _LASTING = 3  # messages in a row that make a jump a step of the clock
+_LASTING_SMALL, _FAST_NS = 10, 50_000_000  # the same of a small one, for messages that follow each other sooner [ns]
 
 
 @dataclass(slots=True)
@@ -70,9 +73,11 @@ class ClockFollower:
             elif self._jumps(topic, message):
                 yield from self._hold(topic, message)
             else:
-                if topic.held:
-                    self._outliers[message.topic] = self._outliers.get(message.topic, 0) + len(topic.held)
-                    topic.held = []
+                held, topic.held = topic.held, []
+                if held and abs(_apart(topic, held[0])) <= _JUMP_NS:  # no step: what a queue brought in another order
+                    yield from (self._passed(topic, waiting) for waiting in held)
+                elif held:
+                    self._outliers[message.topic] = self._outliers.get(message.topic, 0) + len(held)
                 yield self._passed(topic, message)
 
     def events(self) -> list[Event]:
@@ -101,9 +106,10 @@ class ClockFollower:
 
     def _jumps(self, topic: _Topic, message: RawCloud | RawImu) -> bool:
         step = message.stamp_ns + topic.shift_ns - topic.stamp_ns
-        if abs(step - (message.received_ns - topic.received_ns)) <= _JUMP_NS:
-            return False
         lag_ns = message.received_ns - message.stamp_ns - topic.shift_ns
+        apart = _apart(topic, message)
+        if abs(apart) <= _JUMP_NS:
+            return _jumps_little(topic, step, lag_ns, apart)
         early = topic.passed >= _KNOWN and lag_ns < topic.least_lag_ns - _JUMP_NS // 2
         return early or not 0 < step < 2 * _JUMP_NS
 
@@ -116,17 +122,21 @@ class ClockFollower:
                 self._outliers[message.topic] = self._outliers.get(message.topic, 0) + len(topic.held)
                 topic.held = []
         topic.held.append(message)
-        if len(topic.held) < _LASTING:
-            return
         first = topic.held[0]
-        steps = max(1, round((first.received_ns - topic.received_ns) / topic.period_ns))
-        shift_ns = topic.stamp_ns + steps * topic.period_ns - first.stamp_ns
+        small = abs(_apart(topic, first)) <= _JUMP_NS
+        if len(topic.held) < (_LASTING_SMALL if small and topic.period_ns < _FAST_NS else _LASTING):
+            return
+        if small:  # the quickest delivery before and after tells it better than the times of two messages
+            shift_ns = min(held.received_ns - held.stamp_ns for held in topic.held) - topic.least_lag_ns
+        else:
+            steps = max(1, round((first.received_ns - topic.received_ns) / topic.period_ns))
+            shift_ns = topic.stamp_ns + steps * topic.period_ns - first.stamp_ns
         alike = [other.shift_ns for other in self._topics.values() if abs(other.shift_ns - shift_ns) < _ALIKE_NS]
         shift_ns = alike[0] if alike else shift_ns
         self._steps.append((message.topic, topic.shift_ns - shift_ns, first.stamp_ns))
         topic.shift_ns, held, topic.held = shift_ns, topic.held, []
-        for message in held:
-            yield self._passed(topic, message)
+        for waiting in held:
+            yield self._passed(topic, waiting)
 
     def _passed(self, topic: _Topic, message: RawCloud | RawImu) -> RawCloud | RawImu:
         if topic.shift_ns:
@@ -137,3 +147,18 @@ class ClockFollower:
         topic.passed += 1
         topic.least_lag_ns = min(topic.least_lag_ns, message.received_ns - message.stamp_ns)
         return message
+
+
+def _apart(topic: _Topic, message: RawCloud | RawImu) -> int:
+    """Return by how much more a topic's stamps have run on since its last message than times of reception [ns]."""
+    return message.stamp_ns + topic.shift_ns - topic.stamp_ns - (message.received_ns - topic.received_ns)
+
+
+def _jumps_little(topic: _Topic, step_ns: int, lag_ns: int, apart_ns: int) -> bool:
+    """Whether a stamp shows a clock that was set by less than a queue may take.
+
+    No queue delivers sooner than ever before, nor makes stamps run backwards while messages arrive evenly.
+    """
+    if abs(apart_ns) < _SMALL_NS or topic.passed < _KNOWN_WELL:
+        return False
+    return bool(topic.held) or (lag_ns < topic.least_lag_ns - _SMALL_NS if apart_ns > 0 else step_ns < 0)

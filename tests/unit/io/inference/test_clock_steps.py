@@ -67,6 +67,39 @@ def test_a_clock_that_is_set_is_followed_by_both_sensors(step):
         assert stamps[topic] == list(range(0, 2_000_000_000, period))
 
 
+@pytest.mark.parametrize("step", [-500_000_000, -150_000_000, 150_000_000, 500_000_000])
+@pytest.mark.parametrize("topics", [(IMU,), (LIDAR,), (IMU, LIDAR)])
+def test_a_small_step_shows_where_no_queue_explains_it(topics, step):
+    """Delivery takes 1 to 4 ms, and the recorder is held up for 0.3 s elsewhere."""
+    rng = np.random.default_rng(1)
+
+    def change(name, ns):
+        received = ns + int(rng.integers(1_000_000, 4_000_000))
+        if 1_300_000_000 < ns < 1_600_000_000:  # all at once, in their order
+            received = 1_600_000_000 + ns // 1000
+        return (ns + step if name in topics and ns >= 1_000_000_000 else ns, received)
+
+    quick = {**PERIODS, LIDAR: 50_000_000}
+    messages = [m for m in recorded(change) if m.topic in PERIODS]
+    messages += [cloud(*change(LIDAR, ns)) for ns in range(50_000_000, 2_000_000_000, 100_000_000)]
+    clocks = ClockFollower(quick)
+    found = list(clocks.followed(iter(sorted(messages, key=lambda m: m.received_ns))))
+    events = clocks.events()
+    assert [event.code for event in events] == ["clock-step"] * len(topics)
+    assert {event.message.split(":")[0] for event in events} == set(topics)
+    for topic, period in quick.items():
+        stamps = sorted(m.stamp_ns - START for m in found if m.topic == topic)
+        np.testing.assert_allclose(stamps, range(0, 2_000_000_000, period), atol=4_000_000)
+
+
+def test_messages_that_came_in_another_order_are_no_step():
+    """Three that were held up by 0.15 s behind all others, then twelve."""
+    late = {1_000_000_000 + k * 5_000_000 for k in range(3)} | {1_400_000_000 + k * 5_000_000 for k in range(9)}
+    messages = recorded(lambda name, ns: (ns, ns + (150_000_000 if name == IMU and ns in late else 0)))
+    stamps, events = follow(sorted(messages, key=lambda m: m.received_ns))
+    assert events == [] and len(stamps[IMU]) == len([m for m in messages if m.topic == IMU])
+
+
 def test_a_recorder_whose_clock_is_set_back_too_is_followed():
     step = -2_003_700_000
 
