@@ -102,7 +102,7 @@ def read_edits(path: Path | str) -> RunEdits:
 def _box(path: Path, row: dict[str, Any]) -> RemovedBox:
     try:
         low, high = (np.array(row[name], dtype=np.float64) for name in ("low", "high"))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         low = high = np.zeros(0)
     if low.shape != (3,) or high.shape != (3,) or not (low < high).all() or not np.isfinite([*low, *high]).all():
         raise FormatError(path, "[[remove_box]] needs three numbers for low, and three greater ones for high [m]")

@@ -36,6 +36,15 @@ max_range = 40.0
 rate = 100.0
 """
 
+PLAN = """
+[[remove_box]]
+low = [1.0, 2.0, 0.5]
+high = [2.0, 3.0, 1.5]
+[[forbid_loop]]
+query = 2
+match = 0
+"""
+
 
 def make_seeds(folder: Path) -> Path:
     """Write all seeds into an empty folder and return it."""
@@ -45,6 +54,7 @@ def make_seeds(folder: Path) -> Path:
     _tables(folder)
     _graphs(folder)
     _smoothers(folder)
+    (folder / "plan.toml").write_text(PLAN)
     settings = ("slam.keyframe_distance=0.03", "output.keyframe_distance=0.05", "output.keep_submaps=true")
     words = [word for setting in settings for word in ("--set", setting)]
     assert main(["run", str(folder / "ouster.mcap"), "-o", str(folder / "run"), "-q", "--threads", "1", *words]) == 0

@@ -283,6 +283,28 @@ def _runs() -> list[Target]:
     ]
 
 
+def _later() -> list[Target]:
+    """What is done with the folders of runs afterwards."""
+    merge = command("merge", "{}", "{seeds}/run", "-o", "{out}")
+    edit = command("edit", "{}", "{seeds}/plan.toml")
+    short = ("-o", "{out}", "--duration", "0.4", "--threads", "1", "-q")
+    localize = command("localize", "{seeds}/ouster.mcap", "--map", "{}", *short)
+    return [
+        Target("merge", "run", in_text, merge, 3, "*"),
+        Target("merge bytes", "run", of_bytes, merge, 3, "*"),
+        Target("merge account", "run", in_json, merge, 3, "run.json"),
+        Target("edit", "run", in_text, edit, 3, "*"),
+        Target("edit bytes", "run", of_bytes, edit, 3, "*"),
+        Target("edit account", "run", in_json, edit, 2, "run.json"),
+        Target("plan", "plan.toml", in_text, loader("heliograph.edits:read_edits"), 6),
+        Target("plan nested", "plan.toml", in_nest, loader("heliograph.edits:read_edits"), 4),
+        Target("map of a run", "run", of_bytes, localize, 2, "*"),
+        Target("map account", "run", in_json, localize, 2, "run.json"),
+        Target("map keyframes", "run", of_bytes, localize, 2, spoil_folder=in_keyframe),
+        Target("map cloud", "cloud.ply", in_head, localize, 2),
+    ]
+
+
 def _clouds() -> list[Target]:
     found = [Target("cloud.xyz", "cloud.xyz", in_text, command("align", "{}", "{}"), 5)]
     for suffix in ("ply", "pcd"):
@@ -300,7 +322,7 @@ def _clouds() -> list[Target]:
 
 _DECODERS = {"velodyne": "velodyne_decoder"}  # extras without which a file is refused, sound or not
 TARGETS = [
-    target for target in (*_recordings(), *_tables(), *_graphs(), *_runs(), *_clouds())
+    target for target in (*_recordings(), *_tables(), *_graphs(), *_runs(), *_clouds(), *_later())
     if all(find_spec(decoder) for name, decoder in _DECODERS.items() if target.name.startswith(name))
 ]  # fmt: skip
 
