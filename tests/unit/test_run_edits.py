@@ -111,6 +111,7 @@ def test_edits_drop_a_session_with_its_links(run):
         ("[[remove_bax]]\nlow = [0, 0, 0]\n", "did you mean"),
         ("[[remove_box]]\nlow = [0, 0, 0]\n", "low and high"),
         ("[[remove_box]]\nlow = [0, 0, 0]\nhigh = [1, -1, 1]\n", "three greater ones"),
+        (f"[[remove_box]]\nlow = [0, 0, 0]\nhigh = [1, 1, 1{400 * chr(48)}]\n", "three greater ones"),
         ("[[add_loop]]\nquery = 3\nmatch = 3\n", "two keyframes"),
         ("[remove_box]\nlow = [0, 0, 0]\n", "two brackets"),
         ("low = ", "no plan"),
