@@ -6,7 +6,7 @@ import pytest
 from heliograph.checks import RUN_CHECKS, Finding, RunEvidence, check_run
 from heliograph.checks.inertial_watch import merged
 from heliograph.checks.surfaces import Thickness
-from heliograph.data import GraphAccount, StartAccount
+from heliograph.data import GraphAccount, StartAccount, WheelAccount
 
 CODES = ("smeared-map", "degenerate-drift", "imu-start", "false-loop", "mounting-clock", "drift")
 
@@ -68,6 +68,17 @@ def test_one_fault_turns_its_own_verdict_only(code, change, expected):
     found = {one.code: one.verdict for one in check_run(replace(sound(), **change))}
     assert found.pop(code) == expected
     assert set(found.values()) == {"ok"}
+
+
+def test_blind_stretch_names_the_wheels_that_hold_it_and_stays_a_fault():
+    blind = replace(sound(), **SPOILT["degenerate-drift"])
+    alone = verdict(blind, "degenerate-drift")
+    for slips, scale, told in ((2, 1.03, True), (30, 1.03, False), (0, float("nan"), False)):
+        wheels = WheelAccount(speeds=900, steps=40, slips=slips, scale=scale, scale_sigma=0.001)
+        found = verdict(replace(blind, graph=replace(blind.graph, wheels=wheels)), "degenerate-drift")
+        assert found.verdict == "fail"
+        assert ("38 of 40 steps" in found.evidence and "odometry.tum" in found.remedy) == told
+        assert told or found == alone
 
 
 def test_walls_that_smear_in_turns_name_time_clock_and_mounting():
