@@ -53,7 +53,7 @@ class LiveLine:
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._drawn = False
+        self._drawn = ""
         self.at_margin = True
         """Whether the last thing written was a whole line; below half a line nothing is drawn."""
 
@@ -61,16 +61,17 @@ class LiveLine:
         """Draw a text in place of the last one, cut to the width of the terminal (``COLUMNS`` where that is set)."""
         width = max(shutil.get_terminal_size().columns - 1, 10)
         with self._lock:
-            if self.at_margin:
-                self._draw(plain(text).replace("\n", " ")[:width])
-                self._drawn = True
+            line = plain(text).replace("\n", " ")[:width]
+            if self.at_margin and line != self._drawn:
+                self._draw(line)
+                self._drawn = line
 
     def erase(self) -> None:
         """Leave the line empty."""
         with self._lock:
             if self._drawn:
                 self._draw("")
-                self._drawn = False
+                self._drawn = ""
 
     @contextmanager
     def aside(self) -> Iterator[None]:
