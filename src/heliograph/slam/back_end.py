@@ -162,7 +162,7 @@ class BackEnd:
 
     def finish(self) -> GraphUpdate | None:
         """Look at all that still waits, and judge the fixes by all of it; None where there is no keyframe."""
-        while self._query is not None or self._waiting:
+        while self._query is not None or self._waiting or self._second_look:
             self._go_on(1)
         self._place_on_earth()
         return self._word(self._before) if self._before is not None else None
@@ -170,9 +170,11 @@ class BackEnd:
     def _go_on(self, pieces: int) -> None:
         for _ in range(pieces):
             if self._query is None:
-                if not self._waiting:
+                if not self._waiting and not self._second_look:
                     return
-                self._query = self._opened(self._waiting.popleft())
+                # Second looks come last: nothing new waits for them.
+                index = self._waiting.popleft() if self._waiting else self._second_look.take()
+                self._query = self._opened(index)
                 self._search_of_query = self._closing(self._query)
             try:
                 next(self._search_of_query)
@@ -205,7 +207,7 @@ class BackEnd:
             before = set(self._in_force)
             self._news.loops += self._enforce()  # (8) smooth with the accepted, take back what the solution contradicts
             if set(self._in_force) - before:  # the way is known better now
-                self._waiting.extend(self._second_look.due())
+                self._second_look.accepted()
 
     def snapshot(self) -> Snapshot:
         """Return all that the next keyframes depend on but for the keyframes themselves, which are in the store."""

@@ -18,19 +18,28 @@ class SecondLook(Stateful):
     before it are looked at again, each once, from where the graph has them now.
     """
 
-    _STATE: ClassVar = {"_refused": [int], "_again": [int]}
+    _STATE: ClassVar = {"_refused": [int], "_due": [int], "_again": [int]}
 
     def __init__(self) -> None:
         self._refused: list[int] = []
+        self._due: list[int] = []
         self._again: list[int] = []
+
+    def __len__(self) -> int:
+        """Return how many are to be looked at again."""
+        return len(self._due)
 
     def refused(self, query: int) -> None:
         """Take note of a keyframe whose candidates were all refused; it is forgotten if that was its second look."""
         if query not in self._again:
             self._refused = [*self._refused, query][-_KEPT:]
 
-    def due(self) -> list[int]:
-        """Return the keyframes to be looked at again, as a loop was accepted elsewhere, in their order."""
-        due, self._refused = sorted(self._refused), []
-        self._again = [*self._again, *due][-4 * _KEPT :]
-        return due
+    def accepted(self) -> None:
+        """Take note that a loop was accepted elsewhere: those refused so far are to be looked at again."""
+        self._due += sorted(self._refused)
+        self._again = [*self._again, *sorted(self._refused)][-4 * _KEPT :]
+        self._refused = []
+
+    def take(self) -> int:
+        """Return the first that is to be looked at again, and count it as looked at."""
+        return self._due.pop(0)
