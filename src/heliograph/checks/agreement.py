@@ -6,10 +6,10 @@ import numpy as np
 
 from heliograph.arrays import Array
 from heliograph.checks.arrangement import mounting_of
-from heliograph.checks.evidence import Evidence
+from heliograph.checks.evidence import FORCE_SPAN, Evidence
 from heliograph.checks.offset import MIN_CORRELATION
-from heliograph.checks.records import Finding, Number
-from heliograph.checks.windows import forces_over, lever_arm, turns_over
+from heliograph.checks.records import CheckedMotion, Finding, Number
+from heliograph.checks.windows import Forces, forces_over, lever_arm, turns_over
 
 __all__ = ["check_clock_offset", "check_prediction"]
 
@@ -19,7 +19,6 @@ _MAX_APART_NS = 1_000_000_000  # by which the beginnings and ends of two recorde
 # By how much the predictions must differ to be counted: below it, chance and the LiDAR's noise decide [rad], [m]. Where
 # the IMU shows no change, the LiDAR must show that factor more.
 _MIN_TURN_CHANGE, _MIN_WAY_CHANGE, _LIDAR_CHANGE_FACTOR = 0.006, 0.02, 3.0
-_WAY_SPAN = 2  # scans between the positions compared: over one, the LiDAR's noise is as large as most accelerations
 _MIN_SHARES = {"rotation": 0.7, "translation": 0.4, "velocity": 0.5}
 """Shares of scans that the IMU must predict better than a constant velocity does: those of GLIM's IMUValidation
 (K. Koide et al., GLIM: 3D range-inertial localization and mapping with GPU-accelerated scan matching factors, 2024).
@@ -110,7 +109,7 @@ def prediction_shares(evidence: Evidence) -> dict[str, tuple[float, int]] | None
     R = mounting_of(motion.rig, evidence.turns)
     if R is None:
         return None
-    turns, forces = turns_over(evidence.batch, motion, 1), forces_over(evidence.batch, motion, _WAY_SPAN)
+    turns, forces = turns_over(evidence.batch, motion, 1), _forces(evidence, motion)
     if turns is None or forces is None:
         return None
     seen = turns.lidar @ R.T
@@ -130,6 +129,13 @@ def prediction_shares(evidence: Evidence) -> dict[str, tuple[float, int]] | None
         "velocity": _count_better(both[0], both[1], _MIN_WAY_CHANGE),
     }
     return {name: (share, count if count >= _MIN_SCANS else 0) for name, (share, count) in found.items()}
+
+
+def _forces(evidence: Evidence, motion: CheckedMotion) -> Forces | None:
+    """Return the accelerations of the samples as they came; those at hand where they are the same."""
+    if evidence.as_recorded and evidence.forces is not None:
+        return evidence.forces
+    return forces_over(evidence.batch, motion, FORCE_SPAN)
 
 
 def _count_better(predicted: Array, actual: Array, least: float) -> tuple[float, int]:

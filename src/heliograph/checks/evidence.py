@@ -16,12 +16,14 @@ from heliograph.checks.windows import Forces, Turns, forces_over, turns_over, us
 from heliograph.config import CheckConfig
 from heliograph.data import ImuBatch
 
-__all__ = ["GRAVITY", "Evidence", "gather"]
+__all__ = ["FORCE_SPAN", "GRAVITY", "Evidence", "gather"]
 
 GRAVITY = 9.80665
+FORCE_SPAN = 2
+"""Scans on either side of a second difference of positions: over one, the LiDAR's noise is as large as most
+accelerations."""
 
 _TURN_SPAN = 3  # scans over which turns are compared
-_FORCE_SPAN = 2  # scans on either side of a second difference of positions
 _UNIT_FACTOR = 3.0  # factor beyond which rates or forces are in another unit
 
 
@@ -46,6 +48,8 @@ class Evidence:
     turns, forces : Turns, Forces or None
         Compared over windows, with samples brought to the right size, at the offset if there is one, over the longest
         stretch without a step of the clock; None without a LiDAR or with too few common scans.
+    as_recorded : bool
+        Whether turns and forces are of the samples as they came: of one size, at no offset, without a step.
     config : CheckConfig
         From where on a finding warns or fails.
     """
@@ -59,6 +63,7 @@ class Evidence:
     offset: Offset | None = None
     turns: Turns | None = None
     forces: Forces | None = None
+    as_recorded: bool = False
     config: CheckConfig = field(default_factory=CheckConfig)
 
 
@@ -80,7 +85,8 @@ def gather(
     alone = Evidence(imu=imu, batch=batch, motion=motion, why=why, accel_scale=_accel_scale(batch), config=config)
     if motion is None:
         return alone
-    whole = _within(_unbroken(imu, batch), motion)
+    unbroken = _unbroken(imu, batch)
+    whole = _within(unbroken, motion)
     gyro_scale = _gyro_scale(whole, motion)
     even = replace(whole, gyro=whole.gyro / gyro_scale, accel=whole.accel / alone.accel_scale)
     turns = turns_over(even, motion, _TURN_SPAN)
@@ -92,11 +98,13 @@ def gather(
         rough = (turns_over(_earlier(even, offset), motion, _TURN_SPAN) if offset.determined else None) or turns
         unbiased = replace(even, gyro=even.gyro - bias_beside(rough))
         offset = find_offset(unbiased, motion, near=offset.seconds if offset.determined else None)
-    if offset is not None and offset.significant(config.warn_offset):
+    shifted = offset is not None and offset.significant(config.warn_offset)
+    if offset is not None and shifted:
         even = _earlier(even, offset)
         turns = turns_over(even, motion, _TURN_SPAN) or turns
-    forces = forces_over(even, motion, _FORCE_SPAN)
-    return replace(alone, gyro_scale=gyro_scale, offset=offset, turns=turns, forces=forces)
+    forces = forces_over(even, motion, FORCE_SPAN)
+    untouched = unbroken is batch and gyro_scale == alone.accel_scale == 1.0 and not shifted
+    return replace(alone, gyro_scale=gyro_scale, offset=offset, turns=turns, forces=forces, as_recorded=untouched)
 
 
 def _earlier(batch: ImuBatch, offset: Offset) -> ImuBatch:
