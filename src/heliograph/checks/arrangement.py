@@ -20,6 +20,7 @@ __all__ = [
     "Arrangement",
     "accel_arrangement",
     "gyro_arrangement",
+    "is_mirrored",
     "misalignment",
     "mounting_of",
     "name_of",
@@ -135,6 +136,19 @@ def accel_arrangement(evidence: Evidence) -> Arrangement | None:
     costs = _force_costs(forces, R_lidar_imu, lever_arm(motion) if motion.rig.known else None)
     sigma = max(float(np.sqrt(costs.min() / (3 * len(forces.lidar)))), _FORCE_SIGMA)
     return Arrangement(possible=costs - costs.min() < EXCLUSION_CHI_SQUARE * forces.overlap * sigma**2)
+
+
+def is_mirrored(gyro: Arrangement | None, accel: Arrangement | None) -> bool:
+    """Whether it is the cloud that is a mirror image, and not both of the IMU's sensors that are wrong.
+
+    In a mirror M accelerations turn to ``M a`` and turns, which are axial vectors, to ``-M phi``.
+    """
+    if gyro is None or accel is None or gyro.as_expected or accel.as_expected:
+        return False
+    if np.sum(gyro.possible) != 1 or np.sum(accel.possible) != 1:
+        return False
+    P_gyro, P_accel = (ARRANGEMENTS[int(np.flatnonzero(found.possible)[0])] for found in (gyro, accel))
+    return bool(np.array_equal(P_accel, -P_gyro) and np.linalg.det(P_accel) < 0.0)
 
 
 def _force_costs(forces: Forces, R_lidar_imu: Array, p_lidar_imu: Array | None) -> Array:

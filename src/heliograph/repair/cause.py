@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import Array
+from heliograph.checks.arrangement import accel_arrangement, gyro_arrangement, is_mirrored
 from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
 from heliograph.checks.evidence import Evidence, gather
 from heliograph.checks.records import CheckedMotion, ImuRecord
@@ -16,6 +17,10 @@ from heliograph.data import Trajectory
 
 __all__ = ["clock_step", "likely_cause"]
 
+_MIRRORED = (
+    "the cloud is a mirror image: gyroscope and accelerometer agree with its reflection and with nothing else - look "
+    "at the LiDAR driver's axes, which must be right-handed; one of them has the wrong sign, or two are swapped"
+)
 _WINDOW_S = 3.0  # over which an offset of the clocks is taken for constant [s]
 _MIN_WINDOWS = 3
 _MARGIN_NS = 600_000_000  # of samples around a window [ns]
@@ -35,7 +40,8 @@ def likely_cause(evidence: Evidence) -> str:
     """
     checks = (check_accel_unit, check_gyro_unit, check_gyro_axes, check_accel_axes, check_mounting)
     findings = [check(evidence) for check in checks]
-    told = [f"{f.evidence} - {f.remedy}" for f in findings if f.verdict == "fail"]
+    told = [_MIRRORED] if is_mirrored(gyro_arrangement(evidence), accel_arrangement(evidence)) else []
+    told += [f"{f.evidence} - {f.remedy}" for f in findings if f.verdict == "fail"]
     told += [sentence] if (sentence := clock_step(evidence) or _clock_drift(evidence)) else []
     told += [f"{f.evidence} - {f.remedy}" for f in findings if f.verdict == "warn" and f.code == "gyro-unit"]
     return f"the IMU contradicts the LiDAR: {told[0]}" if told else ""

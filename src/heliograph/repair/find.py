@@ -15,7 +15,7 @@ import numpy as np
 from heliograph.arrays import Array
 from heliograph.calibration.lidar_imu import Calibration, calibrate
 from heliograph.checks.agreement import check_clock_offset, check_prediction
-from heliograph.checks.arrangement import ARRANGEMENTS, accel_arrangement, gyro_arrangement, name_of
+from heliograph.checks.arrangement import ARRANGEMENTS, accel_arrangement, gyro_arrangement, is_mirrored, name_of
 from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
 from heliograph.checks.evidence import GRAVITY, Evidence, gather
 from heliograph.checks.fit import cross, nearest_orthogonal
@@ -233,6 +233,8 @@ def _gyro_axes(evidence: Evidence) -> SensorRepair | None:
     """Turn the gyroscope's axes where it alone is wrong; where both sensors are, the mounting is."""
     gyro, accel = gyro_arrangement(evidence), accel_arrangement(evidence)
     if gyro is None or gyro.as_expected or check_gyro_axes(evidence).verdict != "fail" or np.sum(gyro.possible) != 1:
+        return None
+    if is_mirrored(gyro, accel):  # the map would come out as a mirror image, and nothing would contradict it
         return None
     if accel is not None and not accel.as_expected and np.any(accel.possible & gyro.possible):
         P = ARRANGEMENTS[int(np.flatnonzero(gyro.possible)[0])]

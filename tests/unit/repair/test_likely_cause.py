@@ -75,3 +75,9 @@ def test_wrong_mounting_is_named(sound):
     T[:3, :3] = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ T[:3, :3]
     said = cause((imu, replace(motion, rig=replace(motion.rig, T_imu_lidar=T))))
     assert "tf_static is off by" in said and "mount" in said
+
+
+def test_mirrored_cloud_is_named(sound):
+    mirror = np.array([1.0, -1.0, 1.0])
+    said = cause(sound, lambda imu: replace(imu, gyro=-imu.gyro * mirror, accel=imu.accel * mirror))
+    assert "mirror image" in said and "right-handed" in said

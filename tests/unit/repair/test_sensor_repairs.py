@@ -72,6 +72,13 @@ def test_one_fault_is_mended_by_what_undoes_it(sound, code, spoilt):
     assert len(repair.sentence) > 40
 
 
+def test_a_mirrored_cloud_is_no_fault_of_both_of_the_imus_sensors(sound):
+    """Both could be turned to fit it: the map would be a mirror image that nothing contradicts."""
+    mirror = np.diag([1.0, -1.0, 1.0])
+    found, _ = repairs_of(sound, gyro=-mirror, accel=mirror)
+    assert [repair.code for repair in found] == []
+
+
 def test_units_that_are_too_alike_are_both_named(sound):
     """A thousandth of g and a centimetre per second squared differ by 2 %, as an accelerometer's scale may."""
     (found,), _ = repairs_of(sound, accel=np.eye(3) / 9.80665e-3)
