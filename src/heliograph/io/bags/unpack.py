@@ -73,7 +73,7 @@ def unpack(
     cut_off : bool
         The data end too early: as much as can be had is returned.
     tally : UnpackTally, optional
-        Of the file's other parts.
+        Counts of the file's other parts, which this one adds to.
 
     Raises
     ------
