@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import socket
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -79,7 +80,10 @@ class Screen:
             if window:
                 check_display()
                 self.port = free_port()
-                rerun.spawn(port=self.port, connect=False, recording=self._stream, executable_path=_viewer_program())
+                with _streams_kept():
+                    rerun.spawn(
+                        port=self.port, connect=False, recording=self._stream, executable_path=_viewer_program()
+                    )
                 sinks.append(rerun.GrpcSink(f"rerun+http://127.0.0.1:{self.port}/proxy"))
         except (OSError, RuntimeError) as error:
             raise OutputError(f"the viewer does not open ({error}); write a file with --rrd FILE instead") from error
@@ -213,6 +217,22 @@ def free_port(first: int = PORT) -> int:
     raise OutputError(
         f"no port from {first} to {first + _PORTS_TRIED - 1} is free for the viewer; close one of its windows"
     )
+
+
+@contextmanager
+def _streams_kept() -> Iterator[None]:
+    """Keep our output from a program that outlives us: a pipe behind this one would wait for its window to close."""
+    kept = [os.dup(number) for number in (1, 2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for number in (1, 2):
+            os.dup2(nowhere, number)
+        yield
+    finally:
+        for number, copy in zip((1, 2), kept, strict=True):
+            os.dup2(copy, number)
+            os.close(copy)
+        os.close(nowhere)
 
 
 def _viewer_program() -> str | None:

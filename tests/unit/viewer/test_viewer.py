@@ -5,6 +5,7 @@ import os
 import shutil
 import socket
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -130,7 +131,7 @@ def test_window_is_opened_on_a_free_port_by_the_packages_own_program(monkeypatch
 
     asked = {}
     monkeypatch.setenv("DISPLAY", ":9")
-    monkeypatch.setattr(rerun, "spawn", lambda **options: asked.update(options))
+    monkeypatch.setattr(rerun, "spawn", lambda **options: asked.update(options, output=os.fstat(1).st_rdev))
     monkeypatch.setattr(rerun, "GrpcSink", lambda address: asked.update(address=address) or rerun.FileSink(os.devnull))
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -142,6 +143,7 @@ def test_window_is_opened_on_a_free_port_by_the_packages_own_program(monkeypatch
         tell_port(screen)
     assert asked["port"] == screen.port and port < screen.port <= port + 19
     assert f":{screen.port}/" in asked["address"] and f"port {port} is in use" in capsys.readouterr().err
+    assert asked["output"] == Path(os.devnull).stat().st_rdev, "a window that outlives us holds no pipe of ours open"
     # Without its recording, Rerun takes itself for switched off and opens nothing.
     assert isinstance(asked["recording"], rerun.RecordingStream)
     screen.close()
