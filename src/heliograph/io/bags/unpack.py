@@ -40,7 +40,7 @@ class UnpackTally:
         self._packed = self._unpacked = 0
 
     def room(self, packed: int) -> int:
-        """Return the bytes that a part of so many may unpack to."""
+        """Return the bytes that a part of a given size may unpack to."""
         return round(self._limits.chunk + self._limits.ratio * (self._packed + packed)) - self._unpacked
 
     def add(self, packed: int, unpacked: int) -> None:
