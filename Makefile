@@ -6,6 +6,9 @@ STAMP := $(VENV)/.installed
 BUILD_TOOLS := "scikit-build-core>=1.1" "nanobind>=3.1,<4" "cmeel-eigen>=3.4,<4" "cmake>=3.20" ninja
 NATIVE := $(shell find cpp CMakeLists.txt pyproject.toml -type f)
 
+# Most commands of the tests are programs of their own, which start four times as fast where modules stay compiled.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help env build demo test test-slow lint types rooms mutants sanitize fuzz bench docs page clean
 help:
 	@echo "make demo | test | test-slow | lint | types | rooms | mutants | sanitize | fuzz | bench | docs | page | clean"

@@ -69,6 +69,7 @@ def test_side_by_side_favours_both_sensors(tmp_path):
     assert (tmp_path / "figure.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_deskew_ablation_thins_the_map_with_the_imu():
     rows = [line.split() for line in _run("deskew_ablation.py", 8).splitlines()[1:]]
     thickness = {row[0]: float(row[-1]) for row in rows}

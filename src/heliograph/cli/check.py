@@ -117,8 +117,8 @@ def _show(report: CheckReport, *, quiet: bool) -> None:
         _head(console, report)
         _table(console, report.findings)
     for event in _list(report.facts.get("events")):
-        console.print(f"[yellow]{event['severity']}:[/] {escape(event['message'])}")
-    console.print(_closing(report))
+        console.print(f"[yellow]{event['severity']}:[/] {escape(event['message'])}", soft_wrap=True)
+    console.print(_closing(report), soft_wrap=True)  # a sentence is a line, however wide the terminal
 
 
 def _head(console: Console, report: CheckReport) -> None:

@@ -41,7 +41,8 @@ def test_check_gives_the_same_twice_and_at_any_number_of_threads(call, recording
     assert len({call("check", recording, "--json", "--threads", n)[1] for n in (1, 1, 2)}) == 1
 
 
-def test_bad_verdict_exits_0_and_names_the_first_remedy(call, recording, tmp_path):
+def test_bad_verdict_exits_0_and_names_the_first_remedy(call, recording, tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "60")  # sentences are lines all the same
     with open_recording(recording) as opened:
         T = opened.rig.T_imu_lidar
     R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) @ T[:3, :3]

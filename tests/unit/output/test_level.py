@@ -29,16 +29,16 @@ def test_level_covers_what_another_gravity_does_to_positions_and_rotations(rng):
     g, P = tilted(rng)
     level = Level.of_gravity(g, P, 30.0)
     p, R = np.array([30.0, -12.0, 2.0]), so3.exp(rng.normal(size=3))
-    shifts, turns = [], []
-    for d in rng.multivariate_normal(np.zeros(2), P, 20_000):
-        other = levelled(G * s2.retract(g / G, d))
-        shifts.append(levelled(g).T @ other @ p - p)
-        turns.append(so3.log(R.T @ levelled(g).T @ other @ R))
-    scale = np.trace(np.cov(np.array(shifts).T))
-    np.testing.assert_allclose(level.of_positions(p[None])[0], np.cov(np.array(shifts).T), atol=0.04 * scale)
+    d = rng.multivariate_normal(np.zeros(2), P, 20_000)
+    down = np.broadcast_to([0.0, 0.0, -1.0], (len(d), 3))
+    others = so3.from_two_vectors(G * s2.retract(np.broadcast_to(g / G, (len(d), 3)), d), down)
+    shifts = levelled(g).T @ others @ p - p
+    turns = so3.log(R.T @ levelled(g).T @ others @ R)
+    scale = np.trace(np.cov(shifts.T))
+    np.testing.assert_allclose(level.of_positions(p[None])[0], np.cov(shifts.T), atol=0.04 * scale)
     # Levelling turns about gravity too, to second order; that part is free.
-    scale = np.trace(np.cov(np.array(turns).T))
-    np.testing.assert_allclose(level.of_rotations(R[None])[0], np.cov(np.array(turns).T), atol=0.04 * scale)
+    scale = np.trace(np.cov(turns.T))
+    np.testing.assert_allclose(level.of_rotations(R[None])[0], np.cov(turns.T), atol=0.04 * scale)
 
 
 def test_level_of_a_straight_way_is_told_in_degrees_and_metres():

@@ -101,6 +101,7 @@ def in_tunnel(residual):
     return simulation, follow(simulation, make_odometry(config, simulation.rig, BOTH, 1))
 
 
+@pytest.mark.slow
 def test_point_to_point_does_not_notice_a_tunnel():
     """The textbook's comparison: it runs, and its information is the same in every direction."""
     _, results = in_tunnel("point")

@@ -167,7 +167,15 @@ def test_rest_agrees_with_the_lidar():
     assert np.linalg.norm(start.state.v_odom) == 0.0
 
 
-@pytest.mark.parametrize(("name", "seed"), [("bare-field", 1), ("bare-field", 4), ("field", 2), ("field", 4)])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("field", 2),
+        pytest.param("bare-field", 1, marks=pytest.mark.slow),
+        pytest.param("bare-field", 4, marks=pytest.mark.slow),
+        pytest.param("field", 4, marks=pytest.mark.slow),
+    ],
+)
 def test_rest_on_open_ground_is_rest_although_the_lidar_alone_slides(name, seed):
     simulation, packets, imu = packets_and_imu(SCENARIOS[name].thinned(duration=1.3), seed)
     first = look(packets, imu, simulation.rig, CONFIG, threads=1)
