@@ -254,7 +254,7 @@ def test_bad_input_is_one_line_and_exit_code_2(solve, city, tmp_path, arguments,
 
 
 @pytest.mark.real
-@pytest.mark.parametrize("name", ["M3500", "intel", "kitti_00", "sphere2500"])
+@pytest.mark.parametrize("name", ["M3500", "intel", "kitti_00", pytest.param("sphere2500", marks=pytest.mark.slow)])
 def test_isam2_reaches_the_optimum_of_public_graphs(solve, shared_data, name):
     file = shared_data / "posegraphs" / f"{name}.g2o"
     best = facts(solve(file, "--json"))[0]["final_chi2"]

@@ -58,7 +58,7 @@ def _with_false_loops(file, share, rng):
     return graph, own
 
 
-@pytest.mark.parametrize("name", ["M3500", "sphere2500"])
+@pytest.mark.parametrize("name", ["M3500", pytest.param("sphere2500", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("share", [0.1, 0.5])
 def test_inlier_solution_of_public_graphs_is_recovered(shared_data, name, share, rng):
     file = read_pose_graph(shared_data / "posegraphs" / f"{name}.g2o")

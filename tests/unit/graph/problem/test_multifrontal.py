@@ -385,7 +385,7 @@ def test_variable_without_factors_has_no_covariance(rng):
 
 
 def test_covariances_asked_from_several_threads_are_the_same(rng):
-    graph, values = random_graph(rng, variables=200, families=FAMILIES, factors=600, held=0.02)
+    graph, values = random_graph(rng, variables=100, families=FAMILIES, factors=300, held=0.02)
     solution = solve(graph, values, initial="given")
     keys = [key for key in values.keys().tolist() if key not in graph.fixed.tolist()]
     want = [Marginals(graph, solution.values).covariance(key) for key in keys[:40]]
