@@ -206,11 +206,7 @@ def align(T_estimate: Array, T_reference: Array, mode: str = "se3") -> Array:
     """
     if mode not in ALIGNMENTS:
         raise ConfigError(f"alignment '{mode}' is not one of {', '.join(ALIGNMENTS)}{closest(mode, ALIGNMENTS)}")
-    T_estimate = require_finite("T_estimate", as_array("T_estimate", T_estimate, np.float64, (None, 4, 4)))
-    shape = (len(T_estimate), 4, 4)
-    T_reference = require_finite("T_reference", as_array("T_reference", T_reference, np.float64, shape))
-    if len(T_estimate) == 0:
-        raise DataError("T_estimate holds no poses; at least one pair is needed")
+    T_estimate, T_reference = _pose_pairs(T_estimate, T_reference)
     if mode == "none":
         return np.eye(4)
     if mode == "origin":
@@ -242,10 +238,9 @@ def align_poses(T_estimate: Array, T_reference: Array) -> Array:
     Raises
     ------
     DataError
-        There are no poses.
+        Arrays of another kind, or no poses.
     """
-    if len(T_estimate) == 0:
-        raise DataError("T_estimate holds no poses; at least one pair is needed")
+    T_estimate, T_reference = _pose_pairs(T_estimate, T_reference)
     p_estimate, p_reference = T_estimate[:, :3, 3], T_reference[:, :3, 3]
     center_estimate, center_reference = p_estimate.mean(axis=0), p_reference.mean(axis=0)
     around_estimate, around_reference = p_estimate - center_estimate, p_reference - center_reference
@@ -257,6 +252,16 @@ def align_poses(T_estimate: Array, T_reference: Array) -> Array:
     cross = around_reference.T @ around_estimate / len(p_estimate)
     R = so3.project(cross / max(moved, _EXACT) ** 2 + 0.5 * differences / max(turned, _EXACT) ** 2)
     return se3.from_rotation_translation(R, center_reference - R @ center_estimate)
+
+
+def _pose_pairs(T_estimate: Array, T_reference: Array) -> tuple[Array, Array]:
+    """Return both as arrays of as many poses, at least one."""
+    T_estimate = require_finite("T_estimate", as_array("T_estimate", T_estimate, np.float64, (None, 4, 4)))
+    shape = (len(T_estimate), 4, 4)
+    T_reference = require_finite("T_reference", as_array("T_reference", T_reference, np.float64, shape))
+    if len(T_estimate) == 0:
+        raise DataError("T_estimate holds no poses; at least one pair is needed")
+    return T_estimate, T_reference
 
 
 def absolute_trajectory_error(pair: Association, *, mode: str = "se3") -> AbsoluteError:

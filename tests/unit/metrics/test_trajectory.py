@@ -248,3 +248,12 @@ def test_poses_align_where_positions_alone_leave_the_rotation_open(path, rng):
         np.testing.assert_allclose(align_poses(T_estimate, T_reference), align(T_estimate, T_reference), atol=1e-3)
     exact = align_poses(se3.inverse(T_truth) @ T_reference, T_reference)
     np.testing.assert_allclose(exact, T_truth, atol=1e-7)
+
+
+def test_poses_that_do_not_pair_are_refused():
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    for bad in (poses[:2], poses[:, :3], np.full((3, 4, 4), np.nan)):
+        with pytest.raises(DataError, match="T_reference"):
+            align_poses(poses, bad)
+    with pytest.raises(DataError, match="no poses"):
+        align_poses(poses[:0], poses[:0])
