@@ -5,11 +5,19 @@
 #include <utility>
 
 #include "graph/cholesky/plan_builder.hpp"
+#include "graph/ordering/fill.hpp"
 #include "graph/ordering/ordering.hpp"
 #include "graph/tree/kernels.hpp"
 #include "graph/tree/rank.hpp"
 
 namespace heliograph {
+
+namespace {
+
+constexpr size_t kMaxLast = 16;   // variables that are held last whatever it costs
+constexpr double kMaxCost = 1.5;  // of an order that holds more of them last, beside one that does not
+
+}  // namespace
 
 TreeElimination::TreeElimination(TreeStore& store, TreeJournal& journal, TreeTop& top)
     : store_(store), journal_(journal), top_(top), kernels_(front_kernels()), scratch_(static_cast<size_t>(kScratch)) {}
@@ -20,6 +28,8 @@ bool TreeElimination::continue_order() {
   constexpr size_t kMaxNew = 16;  // variables
   const std::vector<int32_t>& affected = top_.affected();
   if (kept_order_.empty() || affected.size() > kept_order_.size() + kMaxNew) return false;
+  const auto touched = [&](int32_t v) { return (journal_.marks(v) & TreeJournal::kTouched) != 0; };
+  if (static_cast<size_t>(std::count_if(affected.begin(), affected.end(), touched)) > kMaxLast) return false;
   std::vector<uint8_t> placed(affected.size(), 0);
   order_.clear();
   for (const int32_t v : kept_order_) {
@@ -28,27 +38,53 @@ bool TreeElimination::continue_order() {
   }
   for (size_t i = 0; i < affected.size(); ++i)
     if (placed[i] == 0) order_.push_back(static_cast<int32_t>(i));
-  std::stable_partition(order_.begin(), order_.end(), [&](int32_t node) {
-    return (journal_.marks(top_.affected(node)) & TreeJournal::kTouched) == 0;
-  });
+  std::stable_partition(order_.begin(), order_.end(), [&](int32_t node) { return !touched(top_.affected(node)); });
   return true;
+}
+
+// The affected in the order of minimum degree under the constraint.
+std::vector<int32_t> TreeElimination::ordered(const Adjacency& graph, std::span<const int32_t> weight,
+                                              std::span<const int32_t> group) const {
+  const size_t variables = top_.affected().size();
+  std::vector<int32_t> order;
+  order.reserve(variables);
+  for (const int32_t node : minimum_degree(graph, weight, group))
+    if (static_cast<size_t>(node) < variables) order.push_back(node);
+  return order;
+}
+
+// What an order costs, the orphans' elements counted in.
+double TreeElimination::flops_of(const Elements& elements, std::span<const int32_t> order) const {
+  std::vector<int32_t> position(order.size()), weight(order.size());
+  for (size_t i = 0; i < order.size(); ++i) {
+    position[static_cast<size_t>(order[i])] = static_cast<int32_t>(i);
+    weight[i] = store_.variables.dof(top_.affected(static_cast<int32_t>(i)));
+  }
+  return fill_of_order(top_.chained_graph(elements, position), weight, order).flops;
 }
 
 void TreeElimination::reorder() {
   if (continue_order()) return;
-  const Adjacency graph = top_.quotient_graph(top_.elements());
+  const Elements elements = top_.elements();
+  const Adjacency graph = top_.quotient_graph(elements);
   const size_t variables = top_.affected().size();
   std::vector<int32_t> weight(graph.size(), 1), group(graph.size(), 0);
+  size_t touched = 0;
   for (size_t i = 0; i < variables; ++i) {
     const int32_t v = top_.affected()[i];
     weight[i] = store_.variables.dof(v);
     // What new factors speak of stays at the top, where the next ones will touch it.
     const uint8_t marks = journal_.marks(v);
     group[i] = (marks & TreeJournal::kLeaving) != 0 ? 1 : (marks & TreeJournal::kTouched) != 0 ? 3 : 2;
+    touched += group[i] == 3 ? 1 : 0;
   }
-  order_.clear();
-  for (const int32_t node : minimum_degree(graph, weight, group))
-    if (static_cast<size_t>(node) < variables) order_.push_back(node);
+  order_ = ordered(graph, weight, group);
+  // Factors on every pose (all fixes of a drive) say nothing of where the next ones come, and all poses held last are
+  // joined to each other by the velocities and biases that go before them: such an order fills the factor.
+  if (touched <= kMaxLast || touched == variables) return;
+  std::replace(group.begin(), group.end(), 3, 2);
+  std::vector<int32_t> free = ordered(graph, weight, group);
+  if (flops_of(elements, order_) > kMaxCost * flops_of(elements, free)) order_ = std::move(free);
 }
 
 Plan TreeElimination::plan() const {

@@ -34,6 +34,8 @@ class TreeElimination {
 
  private:
   bool continue_order();
+  std::vector<int32_t> ordered(const Adjacency& graph, std::span<const int32_t> weight, std::span<const int32_t> group) const;
+  double flops_of(const Elements& elements, std::span<const int32_t> order) const;
   Plan plan() const;
   size_t linearize_all();
   size_t linearize_for(const Plan& plan, size_t done);
