@@ -18,7 +18,7 @@ __all__ = ["MapTiles", "Tile"]
 
 _EDGE = 512  # cubes along a tile's edge: half a million cells of a building at most
 _HALO = 8  # cubes of its neighbours that a tile is put together with: more than surfaces look around
-_ROOM = 2_000_000  # cells in memory before they go to disk
+_ROOM = 400_000  # cells in memory before they go to disk
 _CELL = np.dtype([("cube", "<i2", 3), ("sums", "<f4", 3), ("intensity", "<f4"), ("count", "<u2")])
 _MAX_POINTS = 60_000  # points of a cell that its count holds
 
@@ -127,11 +127,12 @@ class MapTiles:
             for stock in self._stocks.values():
                 if not stock.held:
                     continue
-                data = np.concatenate([records for _, records in stock.held])
-                self._file.write(data.tobytes())
-                stock.stored.append((at, [(visit, len(records)) for visit, records in stock.held]))
+                for _, records in stock.held:
+                    self._file.write(records.data)
+                pieces = [(visit, len(records)) for visit, records in stock.held]
+                stock.stored.append((at, pieces))
                 stock.held = []
-                at += data.nbytes
+                at += _CELL.itemsize * sum(count for _, count in pieces)
             self._file.flush()
             self._count = 0
         except OSError:

@@ -1,5 +1,7 @@
 """Tiles: the same map as at once, however often it went to disk, and wherever it lies."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -71,6 +73,20 @@ def cells_means(cells):
 
 def test_tiles_take_24_bytes_a_cell():
     assert tiles_module._CELL.itemsize <= 25
+
+
+def test_cells_that_wait_for_their_tile_do_not_fill_memory(tmp_path):
+    parts = [submap(np.random.default_rng(seed), centre=(20.0 * seed, 0.0, 0.0), points=60_000) for seed in range(8)]
+    tiles, count = MapTiles(tmp_path, VOXEL), 0
+    tracemalloc.start()
+    for number in range(80):
+        tiles.add(parts[number % len(parts)], number)
+        count += len(parts[number % len(parts)])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    tiles.close()
+    assert count * 24 > 2 * 24e6  # what they take in memory or on disk [bytes]
+    assert peak < 16e6
 
 
 def test_tiles_where_the_disk_is_full_stay_in_memory(tmp_path, monkeypatch, full_disk):
