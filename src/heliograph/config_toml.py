@@ -16,6 +16,7 @@ from typing import Any, TypeGuard, TypeVar
 
 from heliograph.config import RunConfig
 from heliograph.errors import ConfigError, FormatError, closest
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.guard.toml import parse_toml
 
 __all__ = ["apply_overrides", "build", "dump_config", "field_docs", "keys", "load_config"]
@@ -38,7 +39,7 @@ def load_config(path: Path | str) -> RunConfig:
     """
     path = Path(path)
     try:
-        values = parse_toml(path.read_text(encoding="utf-8"))
+        values = parse_toml(plain_file(path, SETTINGS).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"{path}: the configuration cannot be read ({error.strerror}); check the path") from error
     except ValueError as error:  # of TOML, of UTF-8, of numbers of thousands of digits

@@ -11,6 +11,7 @@ from heliograph.atomic import output_errors
 from heliograph.data import GraphAccount
 from heliograph.edits import EDITS, RunEdits, read_edits
 from heliograph.errors import DataError, closest
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.revision import RunGraph, open_run_graph, sessions_of
 from heliograph.slam.loops import Ledger
 from heliograph.slam.loops.ledger_file import read_ledger
@@ -51,7 +52,7 @@ def apply_edits(folder: Path | str, plan: Path | str) -> GraphAccount:
         if first:
             shutil.copyfile(folder / "loops.csv", kept)
     try:
-        return edited.resolve(beside={EDITS: Path(plan).read_text(encoding="utf-8")})
+        return edited.resolve(beside={EDITS: plain_file(plan, SETTINGS).read_text(encoding="utf-8")})
     except BaseException:
         if first:
             kept.unlink(missing_ok=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from heliograph.arrays import Array, Mask, Points, freeze
 from heliograph.errors import FormatError, closest
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.guard.toml import parse_toml
 
 __all__ = ["EDITS", "RemovedBox", "RunEdits", "read_edits"]
@@ -78,7 +79,7 @@ def read_edits(path: Path | str) -> RunEdits:
     """
     path = Path(path)
     try:
-        tables = parse_toml(path.read_text(encoding="utf-8"))
+        tables = parse_toml(plain_file(path, SETTINGS).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FormatError(path, f"is no plan of edits ({error})") from error
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in _TABLES}

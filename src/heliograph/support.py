@@ -15,6 +15,7 @@ from typing import Any
 from heliograph.atomic import atomic_path
 from heliograph.errors import FormatError
 from heliograph.guard.account import read_account
+from heliograph.guard.files import TABLE, plain_file
 
 __all__ = ["pack_support"]
 
@@ -75,7 +76,7 @@ def pack_support(folder: Path, target: Path) -> list[str]:
 
 
 def _read(path: Path) -> str:
-    return path.read_text(encoding="utf-8", errors="replace")
+    return plain_file(path, TABLE).read_text(encoding="utf-8", errors="replace")
 
 
 def _facts(folder: Path) -> dict[str, Any]:

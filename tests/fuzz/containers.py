@@ -144,7 +144,7 @@ def _spoilt_chunk(body: bytes, rng: random.Random, depth: int) -> bytes:
         at = _chosen(records, rng)
         records[at] = _spoilt_record(records[at], rng, depth + 1)
         inner = b"".join(record.packed() for record in records)
-    told = None if rng.random() < 0.7 else rng.choice([0, 1, size * 2, 1 << 31, 1 << 40, (1 << 64) - 1])
+    told = None if rng.random() < 0.7 else rng.choice([0, 1, size * 2 % (1 << 64), 1 << 31, 1 << 40, (1 << 64) - 1])
     return _chunk(start, end, inner, rng.choice(["zstd", "lz4", "", name]), told, crc if rng.random() < 0.1 else None)
 
 

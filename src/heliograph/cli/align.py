@@ -11,6 +11,7 @@ import typer
 
 from heliograph.cli import options
 from heliograph.cli.activity import stage
+from heliograph.guard.files import SETTINGS, plain_file
 
 if TYPE_CHECKING:
     import numpy as np
@@ -78,7 +79,7 @@ def _read_pose(path: Path) -> NDArray[np.float64]:
     from heliograph.errors import FormatError
 
     try:
-        words = path.read_text(encoding="utf-8", errors="replace").replace(",", " ").split()
+        words = plain_file(path, SETTINGS).read_text(encoding="utf-8", errors="replace").replace(",", " ").split()
         numbers = np.array([float(word) for word in words])
     except OSError as error:
         raise FormatError(

@@ -11,6 +11,7 @@ import typer
 
 from heliograph.cli import options
 from heliograph.cli.activity import stage
+from heliograph.guard.files import SETTINGS, plain_file
 
 if TYPE_CHECKING:
     from heliograph.sim import Scenario
@@ -70,7 +71,7 @@ def _scenario(name: str) -> Scenario:
     if not name.endswith(".toml"):
         return find_scenario(name)
     try:
-        return from_toml(Path(name).read_text(encoding="utf-8"))
+        return from_toml(plain_file(name, SETTINGS).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise FormatError(
             name,

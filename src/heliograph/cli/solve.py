@@ -13,6 +13,7 @@ import typer
 
 from heliograph.cli import options
 from heliograph.cli.activity import stage
+from heliograph.guard.files import plain_file
 
 if TYPE_CHECKING:
     from heliograph.cli.incremental import Incremental
@@ -342,7 +343,7 @@ def _task(path: Path, init: Init, kernel: Kernel | None, reading: dict[str, Any]
 
 def _is_archive(path: Path) -> bool:
     try:
-        with path.open("rb") as file:
+        with plain_file(path).open("rb") as file:
             return path.suffix == ".npz" or file.read(2) == _ARCHIVE_MAGIC
     except OSError:
         return path.suffix == ".npz"  # its reader tells what is wrong

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from heliograph.errors import FormatError
+from heliograph.guard.files import SETTINGS, plain_file
 
 __all__ = ["read_account"]
 
@@ -75,9 +76,8 @@ def read_account(folder: Path) -> dict[str, Any]:
     """
     path = folder / "run.json"
     try:
-        facts = json.loads(
-            path.read_text(encoding="utf-8"), parse_float=_number, parse_int=_integer, parse_constant=_refuse
-        )
+        text = plain_file(path, SETTINGS).read_text(encoding="utf-8")
+        facts = json.loads(text, parse_float=_number, parse_int=_integer, parse_constant=_refuse)
     except FileNotFoundError as error:
         raise FormatError(folder, "is no folder of a run (it holds no run.json); name what `run` wrote") from error
     except (OSError, ValueError, RecursionError) as error:

@@ -15,6 +15,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.guard.files import plain_file
+
 __all__ = ["read_npz"]
 
 _SUFFIX = ".npy"
@@ -58,7 +60,7 @@ def read_npz(source: Path | BinaryIO) -> dict[str, NDArray[Any]]:
         It is no such archive or is damaged; the message says how, on one line.
     """
     try:
-        with zipfile.ZipFile(source) as archive:
+        with zipfile.ZipFile(plain_file(source) if isinstance(source, Path) else source) as archive:
             entries = archive.infolist()
             _check(entries, _size_of(source))
             return {entry.filename.removesuffix(_SUFFIX): _array(archive, entry) for entry in entries}

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from heliograph.guard.files import plain_file
+
 __all__ = ["fingerprint", "hashed_files", "hashed_inputs"]
 
 _BLOCK = 1 << 20  # bytes read at once
@@ -89,7 +91,7 @@ def _together(files: Sequence[tuple[str, Path]], how: str) -> dict[str, Any]:
 
 def _sha256(path: Path) -> str:
     whole = hashlib.sha256()
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         while block := file.read(_BLOCK):
             whole.update(block)
     return whole.hexdigest()
@@ -100,7 +102,7 @@ def _sampled(path: Path) -> str:
     if size <= _SAMPLES * _SAMPLE:
         return _sha256(path)
     whole = hashlib.sha256(str(size).encode())
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         for k in range(_SAMPLES):
             file.seek(k * (size - _SAMPLE) // (_SAMPLES - 1))
             whole.update(file.read(_SAMPLE))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from heliograph.atomic import atomic_path
 from heliograph.data import OnlineCalibration, ScanResult
 from heliograph.errors import DataError, FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.csvs import CsvWriter
 from heliograph.lie import so3
 from heliograph.output.final_poses import FinalPoses
@@ -301,7 +302,7 @@ def rewrite_scans(path: Path, final: FinalPoses, to: Path) -> NDArray[np.float64
         It is no ``scans.csv``.
     """
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with plain_file(path, TABLE).open(encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file)
             columns, rows = tuple(reader.fieldnames or ()), list(reader)
         if any(None in row or None in row.values() for row in rows):

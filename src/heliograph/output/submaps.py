@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import frozen
 from heliograph.atomic import output_error, output_errors
 from heliograph.errors import FormatError
+from heliograph.guard.files import plain_file
 from heliograph.io.files.rows import opened_at
 from heliograph.maps import MapCells, Sight
 
@@ -133,7 +134,7 @@ def read_voxel(path: Path | str) -> float:
         The file cannot be read or is none of submaps.
     """
     try:
-        with Path(path).open("rb") as file:
+        with plain_file(path).open("rb") as file:
             start = file.read(_FILE.size)
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror}); check the path") from error
@@ -157,7 +158,7 @@ def read_submaps(path: Path | str) -> Iterator[Submap]:
 def located_submaps(path: Path | str) -> Iterator[tuple[int, Submap]]:
     """Yield the same with the place of each in the file, for `read_sight`."""
     read_voxel(path)
-    with Path(path).open("rb") as file:
+    with plain_file(path).open("rb") as file:
         file.seek(at := _FILE.size)
         while (submap := _read(file)) is not None:
             yield at, submap
@@ -166,7 +167,7 @@ def located_submaps(path: Path | str) -> Iterator[tuple[int, Submap]]:
 
 def read_sight(path: Path | str, at: int) -> Sight | None:
     """Return the rays of the submap at a place that `located_submaps` found whole, without reading the rest of it."""
-    with Path(path).open("rb") as file:
+    with plain_file(path).open("rb") as file:
         file.seek(at)
         _, count, _, *numbers = _HEADER.unpack(file.read(_HEADER.size))
         *columns, (kind, length) = _columns(count, *numbers[19:23])

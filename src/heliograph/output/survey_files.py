@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from heliograph.guard.files import SETTINGS, plain_file
+
 __all__ = ["ACCURACY", "remove_survey", "replaced_files"]
 
 ACCURACY = "accuracy.json"
@@ -44,7 +46,7 @@ def replaced_files(folder: Path, stem: str, names: Sequence[str]) -> list[str]:
 def _listed(folder: Path) -> list[str] | None:
     """Return the files that ``accuracy.json`` lists and that can be a survey's; None without one."""
     try:
-        files = json.loads((folder / ACCURACY).read_text(encoding="utf-8"))["files"]
+        files = json.loads(plain_file(folder / ACCURACY, SETTINGS).read_text(encoding="utf-8"))["files"]
         return [name for name in files if _NAMES.fullmatch(name)]
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from heliograph.atomic import atomic_path
 from heliograph.data import ImuBatch, ScanResult, Trajectory
 from heliograph.errors import FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.tum import TumWriter, parse_seconds
 from heliograph.lie import so3
 from heliograph.output.final_poses import FinalPoses
@@ -170,7 +171,7 @@ def rewrite(path: Path, final: FinalPoses, to: Path | None = None) -> None:
     rigid = final.rigid
     if to is None and rigid is not None and np.array_equal(rigid, np.eye(4)):
         return
-    with path.open(encoding="utf-8", errors="replace") as file:
+    with plain_file(path, TABLE).open(encoding="utf-8", errors="replace") as file:
         header = file.readline().lstrip("# ").strip()
         with atomic_path(to or path) as temporary, TumWriter(temporary, header) as writer:
             while lines := list(itertools.islice(file, _BLOCK)):

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.io.files.poses import read_poses
 from heliograph.metrics import Association, Evaluation
 from heliograph.report.charts import centre_axis, equal_grid
@@ -77,9 +78,9 @@ def comparison_page(
     )
     maps = "".join(
         f'<figure class="panel"><figcaption><b>{escape(name)}</b></figcaption>'
-        f'<img src="{data_uri(path.read_bytes())}" alt="Map of {escape(name)}" style="width:100%"></figure>'
+        f'<img src="{data_uri(plain_file(path).read_bytes())}" alt="Map of {escape(name)}" style="width:100%"></figure>'
         for name, folder in list(zip(names, folders, strict=True))[:MAX_MAPS]
-        if (path := folder / "map.png").is_file()
+        if (path := folder / "map.png").is_file() and path.stat().st_size <= SETTINGS
     )
     said = "".join(f"<li>{escape(note)}</li>" for note in notes)
     return _document(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.output.record import RunRecord
 from heliograph.report.colors import HEIGHT
 from heliograph.report.raster import extent
@@ -104,9 +105,9 @@ def loop_lines(record: RunRecord) -> NDArray[np.float64]:
     table, journal = record.folder / "loops.csv", record.folder / "keyframes" / "journal.jsonl"
     if not table.is_file() or not journal.is_file():
         return np.zeros((0, 3))
-    entries = [json.loads(line) for line in journal.read_text(encoding="utf-8").splitlines()]
+    entries = [json.loads(line) for line in plain_file(journal, TABLE).read_text(encoding="utf-8").splitlines()]
     stamps = {entry["index"]: entry["stamp_ns"] for entry in entries if "stamp_ns" in entry}
-    with table.open(encoding="utf-8", newline="") as file:
+    with plain_file(table, TABLE).open(encoding="utf-8", newline="") as file:
         pairs = [(int(row["query"]), int(row["match"])) for row in csv.DictReader(file) if row["verdict"] == "accepted"]
     ends, path = record.scans["end_ns"], record.scans.triple("position")
     lines = []

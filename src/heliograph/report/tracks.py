@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import HeliographError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.guard.npz import read_npz
 from heliograph.io.files.poses import read_poses
 from heliograph.lie import so3
@@ -129,7 +130,7 @@ def _points(file: Path) -> NDArray[np.float64]:
 
 def _rows(path: Path) -> list[dict[str, str]]:
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with plain_file(path, TABLE).open(encoding="utf-8", newline="") as file:
             return list(csv.DictReader(file))
     except (OSError, ValueError, csv.Error):
         return []

@@ -17,6 +17,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from heliograph.errors import FormatError, OutputError
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.lie import se3, so3
 from heliograph.sim.layouts import SimulatedLayout, find_layout
 from heliograph.sim.messages import Messages
@@ -142,7 +143,7 @@ def read_simulation(folder: Path | str) -> Simulation | None:
     if not path.is_file():
         return None
     try:
-        text = path.read_text(encoding="utf-8")
+        text = plain_file(path, SETTINGS).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise FormatError(path, f"cannot be read: {getattr(error, 'strerror', None) or error}") from error
     found = re.match(r"# seed (\d{1,18})\b", text)

@@ -9,6 +9,7 @@ import numpy as np
 
 from heliograph.atomic import output_errors
 from heliograph.errors import FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.slam.places import Descriptor
 
 __all__ = ["DescriptorFile"]
@@ -57,7 +58,7 @@ class DescriptorFile:
         if rows == 0:
             return []
         try:
-            content = self.path.read_bytes()
+            content = plain_file(self.path, TABLE).read_bytes()
         except OSError as error:
             raise FormatError(self.path, f"cannot be read ({error.strerror}); run with --overwrite") from error
         head, _, body = content.partition(b"\n")

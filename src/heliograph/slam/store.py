@@ -19,6 +19,7 @@ from heliograph.arrays import Array, Stamps
 from heliograph.atomic import output_errors
 from heliograph.data import ImuBatch, Keyframe
 from heliograph.errors import DataError, FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.guard.limits import MAX_NS
 from heliograph.guard.npz import read_npz
 from heliograph.snapshots import settle
@@ -105,9 +106,10 @@ class KeyframeStore:
         """
         path = Path(path)
         try:
-            lines = (path / _JOURNAL).read_bytes().split(b"\n")[:-1]  # what stands behind the last newline is torn
+            content = plain_file(path / _JOURNAL, TABLE).read_bytes()
         except OSError as error:
             raise FormatError(path, f"holds no keyframes ({error.strerror}); name the keyframes of a run") from error
+        lines = content.split(b"\n")[:-1]  # what stands behind the last newline is torn
         head = _json(lines[0]) if lines else None
         if not isinstance(head, dict) or head.get("format") != _FORMAT:
             raise FormatError(path / _JOURNAL, "no journal of keyframes; name the keyframes of a run")
@@ -207,7 +209,7 @@ class KeyframeStore:
         entry = self._entries[index]
         file = self.path / entry.file
         try:
-            content = file.read_bytes()
+            content = plain_file(file, TABLE).read_bytes()
         except OSError as error:
             raise FormatError(file, f"cannot be read ({error.strerror}); the store is damaged") from error
         if zlib.crc32(content) != entry.crc32:
@@ -241,7 +243,7 @@ class KeyframeStore:
     def _opened_journal(self) -> IO[str]:
         """Open the journal behind its last whole line: what an earlier run left torn must not stay in between."""
         path = self.path / _JOURNAL
-        lines = path.read_bytes().split(b"\n")[: 1 + len(self)]
+        lines = plain_file(path, TABLE).read_bytes().split(b"\n")[: 1 + len(self)]
         journal = path.open("r+", encoding="utf-8", newline="\n")
         journal.truncate(sum(len(line) + 1 for line in lines))
         journal.seek(0, io.SEEK_END)
@@ -277,7 +279,7 @@ def _whole_entries(path: Path, lines: list[bytes]) -> Iterator[_Entry]:
 
 def _without_torn_end(path: Path, entries: list[_Entry]) -> list[_Entry]:
     """Leave out the last files that are not what was written: a power loss leaves some that hold zeros."""
-    while entries and zlib.crc32((path / entries[-1].file).read_bytes()) != entries[-1].crc32:
+    while entries and zlib.crc32(plain_file(path / entries[-1].file, TABLE).read_bytes()) != entries[-1].crc32:
         entries.pop()
     return entries
 

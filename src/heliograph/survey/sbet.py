@@ -15,6 +15,7 @@ import numpy as np
 
 from heliograph.arrays import Array
 from heliograph.atomic import atomic_path
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.lie import se3, so3
 from heliograph.survey.las import gps_seconds
 from heliograph.survey.tracks import SurveyTrack
@@ -64,7 +65,7 @@ def write_smrmsg(path: Path, track: SurveyTrack, origin: Array) -> None:
 
 def read_rows(path: Path, columns: int) -> Array:
     """Return the rows (N, columns) of such a file: 17 of an SBET, 10 of an SMRMSG."""
-    return np.fromfile(path, dtype="<f8").reshape(-1, columns)
+    return np.fromfile(plain_file(path, TABLE), dtype="<f8").reshape(-1, columns)
 
 
 def _time(track: SurveyTrack) -> Array:

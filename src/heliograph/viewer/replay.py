@@ -17,6 +17,7 @@ from heliograph.factors import SENSOR_FACTORS
 from heliograph.graph import ISAM2, load_graph
 from heliograph.graph.model.symbols import key_name
 from heliograph.guard.account import read_account
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.clouds import CLOUD_SUFFIXES, read_cloud
 from heliograph.io.files.poses import read_poses
 from heliograph.maps import KdTreeMap
@@ -104,7 +105,7 @@ def read_columns(path: Path) -> dict[str, NDArray[Any]]:
         It is missing, holds no row, or was written by a version whose columns are others.
     """
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with plain_file(path, TABLE).open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, ValueError, csv.Error) as error:
         raise FormatError(path, f"cannot be read ({error}); run the recording again") from error

@@ -21,6 +21,7 @@ from heliograph.graph.files.offsets import sensor_offsets
 from heliograph.graph.files.posegraph import PoseGraphFile
 from heliograph.graph.files.row_kinds import KINDS
 from heliograph.graph.files.tables import Table, as_kind, parse_tables, written
+from heliograph.guard.files import TABLE, plain_file
 
 __all__ = ["check_toro", "read_pose_graph", "write_g2o", "write_toro"]
 
@@ -125,7 +126,7 @@ def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
 def _text(path: Path) -> bytes:
     """Return the text of a file with lines that end in a line feed."""
     try:
-        data = path.read_bytes()
+        data = plain_file(path, TABLE).read_bytes()
     except OSError as error:
         raise FormatError(path, f"cannot be read ({error.strerror}); give a g2o or TORO file") from error
     if data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) or b"\0" in data[:64]:

@@ -15,6 +15,7 @@ from rosbags.rosbag1.reader import decompressors
 from heliograph.data import Event
 from heliograph.errors import FormatError
 from heliograph.guard.boundary import DAMAGE, outside, outside_each
+from heliograph.guard.files import plain_file
 from heliograph.guard.limits import ReadLimits
 from heliograph.io.bags.storage import Channel, RawBytes, note, ros2_name
 from heliograph.io.bags.unpack import UnpackTally, unpack
@@ -83,7 +84,7 @@ class Bag1Storage:
         self.start_ns, self.end_ns = 0, 0
         self._reader: Reader | None = None
         self._salvage: _Salvage | None = None
-        with path.open("rb") as file:
+        with plain_file(path).open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise FormatError(path, "not a ROS 1 bag (version 2.0): check the file's name and download")
         reader = Reader(path)
@@ -182,7 +183,7 @@ class _Salvage:
     def _chunks(self) -> Iterator[tuple[dict[str, bytes], memoryview]]:
         """Yield the records of the file, whose last may be cut off."""
         size_of_file = self._path.stat().st_size
-        with self._path.open("rb") as file:
+        with plain_file(self._path).open("rb") as file:
             file.seek(len(MAGIC))
             while len(size := file.read(4)) == 4:
                 head = file.read(min(struct.unpack("<I", size)[0], size_of_file))

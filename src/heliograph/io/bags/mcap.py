@@ -20,6 +20,7 @@ from typing import BinaryIO
 from heliograph.data import Event
 from heliograph.errors import FormatError
 from heliograph.guard.boundary import DAMAGE
+from heliograph.guard.files import plain_file
 from heliograph.guard.limits import MAX_NS, ReadLimits
 from heliograph.io.bags.storage import Channel, RawBytes, merge_lazily, note, ros2_name
 from heliograph.io.bags.unpack import UnpackTally, unpack
@@ -113,7 +114,7 @@ class McapStorage:
         self._counts: dict[int, int] = {}
         self._chunks: list[_Chunk] = []
         self._loose = False  # messages outside chunks
-        self._file: BinaryIO = path.open("rb")
+        self._file: BinaryIO = plain_file(path).open("rb")
         self._size = path.stat().st_size
         try:
             self._open()

@@ -18,6 +18,7 @@ from ruamel.yaml.error import YAMLError
 from heliograph.data import Event
 from heliograph.errors import DataError, FormatError
 from heliograph.guard.boundary import DAMAGE, reason
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.guard.limits import ReadLimits
 from heliograph.io.bags.bag1 import Bag1Storage
 from heliograph.io.bags.mcap import McapStorage
@@ -115,7 +116,7 @@ def _bag_folder(folder: Path, events: list[Event]) -> list[_Part]:
 
 
 def _is_ros_file(path: Path) -> bool:
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         head = file.read(16)
     return head.startswith((*STORAGES, ZSTD_MAGIC))
 
@@ -147,7 +148,7 @@ def _metadata(path: Path) -> Any:  # noqa: ANN401 - whatever the file holds
     """Return what a ``metadata.yaml`` says; one that refers to itself, which may stand for any amount, is refused."""
     if path.stat().st_size > _MAX_METADATA:
         raise FormatError(path, f"is larger than {_MAX_METADATA / 1e6:.0f} MB")
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = plain_file(path, SETTINGS).read_text(encoding="utf-8", errors="replace")
     if _YAML_ALIAS.search(text):
         raise FormatError(path, "refers to parts of itself")
     return YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
@@ -202,7 +203,7 @@ class RosbagSource:
             raise failure
 
     def _open_storage(self, path: Path) -> Storage:
-        with path.open("rb") as file:
+        with plain_file(path).open("rb") as file:
             head = file.read(16)
         if head.startswith(ZSTD_MAGIC):
             return self._open_unpacked(path)

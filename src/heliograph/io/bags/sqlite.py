@@ -18,6 +18,7 @@ import numpy as np
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
+from heliograph.guard.files import plain_file
 from heliograph.guard.limits import MAX_NS, ReadLimits
 from heliograph.io.bags.sqlite_salvage import PaddedCopy
 from heliograph.io.bags.storage import Channel, RawBytes, note, ros2_name
@@ -51,7 +52,7 @@ class SqliteStorage:
     def __init__(self, path: Path, events: list[Event], limits: ReadLimits | None = None) -> None:
         self.path, self.events = path, events
         self._limits = limits or ReadLimits()
-        with path.open("rb") as file:
+        with plain_file(path).open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise FormatError(path, "not an SQLite file: check the file's name and download")
         self._copy: PaddedCopy | None = None

@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 from heliograph.errors import FormatError
+from heliograph.guard.files import plain_file
 from heliograph.guard.limits import ReadLimits
 
 __all__ = ["PaddedCopy"]
@@ -63,7 +64,7 @@ class PaddedCopy:
 
 def _pad(path: Path) -> None:
     """Make a database file as long as its header says."""
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         header = file.read(HEADER_BYTES)
     if len(header) < HEADER_BYTES:
         raise sqlite3.DatabaseError("shorter than its header")

@@ -11,6 +11,7 @@ from typing import Any, BinaryIO
 
 import lz4.frame
 
+from heliograph.guard.files import plain_file
 from heliograph.guard.limits import ReadLimits
 
 if sys.version_info >= (3, 14):
@@ -162,7 +163,7 @@ def unpack_file(path: Path, target: Path, limits: ReadLimits) -> str:
     """
     packed = path.stat().st_size
     room = shutil.disk_usage(target.parent).free - limits.reserve
-    with path.open("rb") as source:
+    with plain_file(path).open("rb") as source:
         declared = _declared(source.read(_HEAD))
         _check_room(declared, packed, room, target.parent, limits)
         source.seek(0)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from heliograph.errors import FormatError, HeliographError, MissingDependencyError
 from heliograph.guard.boundary import reason
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.clouds import read_columns
 from heliograph.io.files.las_header import check_las
 
@@ -80,7 +81,7 @@ def _read_las(path: Path) -> NDArray[np.float64]:
 
 def _read_text(path: Path) -> NDArray[np.float64]:
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = plain_file(path, TABLE).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror}") from error
     rows: list[list[float]] = []

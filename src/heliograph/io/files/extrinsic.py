@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from heliograph.atomic import write_text
 from heliograph.data import ImuClock, Rig
 from heliograph.errors import ConfigError, closest
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.guard.limits import MAX_NS
 from heliograph.guard.toml import parse_toml
 from heliograph.io.files.params_yaml import read_params_yaml
@@ -64,7 +65,7 @@ def read_extrinsic(path: Path | str) -> Rig:
         T_imu_lidar[:3, :3] = _orthonormal(path, T_imu_lidar[:3, :3])
         return Rig(T_imu_lidar=T_imu_lidar, source=f"file {path}")
     try:
-        content = parse_toml(path.read_text(encoding="utf-8"))
+        content = parse_toml(plain_file(path, SETTINGS).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"extrinsic {path}: cannot be read: {error.strerror}") from error
     except ValueError as error:  # of TOML, of UTF-8, of numbers of thousands of digits
@@ -101,7 +102,7 @@ def read_extrinsic(path: Path | str) -> Rig:
 def _mounting_of_run(path: Path) -> dict[str, Any]:
     """Return the mounting in a run's account."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(plain_file(path, SETTINGS).read_text(encoding="utf-8"))
         mounting = found["mounting"]
         return {_TABLE: mounting[_TABLE]}
     except OSError as error:

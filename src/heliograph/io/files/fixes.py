@@ -12,6 +12,7 @@ import numpy as np
 from heliograph.data import GnssFix
 from heliograph.errors import FormatError
 from heliograph.geodesy import ecef_to_geodetic
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.table import TextTable, read_table
 
 __all__ = ["read_fixes"]
@@ -48,7 +49,7 @@ def read_fixes(path: Path | str, *, near_ns: int = 0) -> list[GnssFix]:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        text = plain_file(path, TABLE).read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from error
     head = next((line for line in text.splitlines() if line.strip()), "")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.clouds import CLOUD_SUFFIXES, read_cloud
 from heliograph.io.files.extrinsic import read_extrinsic
 from heliograph.io.files.imu_tables import ImuTable, read_imu_table
@@ -174,7 +175,9 @@ class _CloudFolder:
 
 def _listed_stamps(path: Path, clouds: Sequence[Path]) -> list[int]:
     """Return the stamps of a list with one row a cloud; a header and comments are skipped."""
-    lines = [line.partition("#")[0].strip() for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = [
+        line.partition("#")[0].strip() for line in plain_file(path, TABLE).read_text(encoding="utf-8").splitlines()
+    ]
     rows = [re.split(r"[,;\s]+", line) for line in lines if line]
     if rows and not any(is_number(word) for word in rows[0]):
         rows = rows[1:]

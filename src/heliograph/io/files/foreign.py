@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from heliograph.guard.files import plain_file
+
 __all__ = ["foreign_format"]
 
 _HEAD = 16  # bytes that tell a format
@@ -73,7 +75,7 @@ def foreign_format(path: Path) -> str:
 
 def _of_file(path: Path) -> str:
     try:
-        with path.open("rb") as file:
+        with plain_file(path).open("rb") as file:
             head = file.read(_HEAD)
     except OSError:
         head = b""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from heliograph.arrays import freeze
 from heliograph.errors import FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.stamps import UNITS, is_number, parse_stamps
 
 __all__ = ["ImuTable", "read_imu_table"]
@@ -71,7 +72,7 @@ def read_imu_table(path: Path) -> ImuTable:
         Columns are missing or not clear, or no row can be read.
     """
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = plain_file(path, TABLE).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror}") from error
     rows = [(_split(line), line) for line in lines if line.strip()]

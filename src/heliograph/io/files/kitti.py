@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from heliograph.data import Event
 from heliograph.errors import FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.guard.limits import MAX_NS
 from heliograph.io.files.tum import parse_seconds
 from heliograph.io.raw import RawCloud, RawFix, RawImu, RawMessage, RawSource, TopicInfo
@@ -51,11 +52,15 @@ def open_kitti(paths: Sequence[Path]) -> RawSource | None:
     return None
 
 
+def _text(path: Path) -> str:
+    return plain_file(path, TABLE).read_text(encoding="utf-8", errors="replace")
+
+
 def _read_points(path: Path) -> NDArray[np.float32]:
     """Return ``(N, 4)`` x y z reflectance of a ``.bin`` or ``.txt`` scan; `ValueError` if it is cut short."""
     if path.suffix == ".bin":
-        return np.fromfile(path, dtype=np.float32).reshape(-1, 4)
-    return np.loadtxt(path, dtype=np.float32, ndmin=2).reshape(-1, 4)
+        return np.fromfile(plain_file(path, TABLE), dtype=np.float32).reshape(-1, 4)
+    return np.loadtxt(plain_file(path, TABLE), dtype=np.float32, ndmin=2).reshape(-1, 4)
 
 
 def _numbered(folder: Path, suffixes: Sequence[str]) -> dict[int, Path]:
@@ -155,7 +160,7 @@ class _RawDrive(_Folder):
         for number, path in self._oxts.items():
             stamp = int(self._oxts_times[number])
             try:
-                values = [float(word) for word in path.read_text(encoding="utf-8", errors="replace").split()]
+                values = [float(word) for word in _text(path).split()]
             except (ValueError, OSError):
                 values = []
             if len(values) < _OXTS_VALUES - 5:
@@ -206,7 +211,7 @@ def _fix(values: Sequence[float], stamp: int) -> RawFix:
 def _read_dates(path: Path) -> NDArray[np.int64]:
     """Read lines such as ``2011-09-26 13:02:25.594360375`` as nanoseconds since 1970."""
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+        lines = _text(path).split("\n")
     except OSError as error:
         raise FormatError(
             path, f"cannot be read ({error.strerror}); the drive cannot be used without its stamps"
@@ -232,7 +237,7 @@ def _nanoseconds(date: str) -> int:
 def _read_calibration(path: Path) -> NDArray[np.float64]:
     """Read ``T_velo_imu`` from the lines ``R:`` (9 numbers) and ``T:`` (3)."""
     values: dict[str, list[str]] = {}
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    for line in _text(path).splitlines():
         key, _, rest = line.partition(":")
         values[key.strip()] = rest.split()
     T_velo_imu = np.eye(4)
@@ -257,7 +262,7 @@ class _OdometrySequence(_Folder):
             raise FormatError(folder, "holds no scans in velodyne/; check the extracted archive")
         path = folder / "times.txt"
         try:
-            self._times = [parse_seconds(word) for word in path.read_text(encoding="utf-8", errors="replace").split()]
+            self._times = [parse_seconds(word) for word in _text(path).split()]
         except (ValueError, OSError) as error:
             raise FormatError(path, f"does not hold one stamp in seconds a line: {error}") from None
         if max(self._scans) >= len(self._times):

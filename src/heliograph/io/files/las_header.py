@@ -14,6 +14,7 @@ import struct
 from pathlib import Path
 
 from heliograph.errors import FormatError
+from heliograph.guard.files import plain_file
 
 __all__ = ["check_las"]
 
@@ -41,7 +42,7 @@ def check_las(path: Path) -> None:
         It cannot be read.
     """
     size = path.stat().st_size
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         head = file.read(375)
         if len(head) < 227 or head[:4] != b"LASF":
             raise FormatError(path, "is not a LAS file")
@@ -117,7 +118,7 @@ def _check_layers(path: Path, span: tuple[int, int], count: int, width: int, lay
     """Walk from chunk to chunk: a decoder reserves what the layers are said to have before it reads them."""
     at, end = span
     head = width + 4 + 4 * layers
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         for _ in range(count):
             file.seek(at + width + 4)
             sizes = file.read(4 * layers)
@@ -135,7 +136,7 @@ def _check_chunks(path: Path, data: int, size: int, points: int) -> tuple[int, i
     tuple of int
         Byte of the table, chunks.
     """
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         file.seek(data)
         table = int.from_bytes(file.read(8), "little", signed=True)
         if table == -1 and size >= data + 16:  # written as a stream: at the file's end then

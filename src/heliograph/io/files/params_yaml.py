@@ -12,6 +12,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from heliograph.errors import ConfigError
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.lie import se3
 
 __all__ = ["StatedMounting", "read_params_yaml"]
@@ -65,7 +66,7 @@ def _content(path: Path) -> object:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ConfigError(f"extrinsic {path}: has {path.stat().st_size} bytes, too many for a file of parameters")
-        text = path.read_text(encoding="utf-8")
+        text = plain_file(path, SETTINGS).read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"extrinsic {path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:

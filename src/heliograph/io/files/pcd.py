@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import FormatError
+from heliograph.guard.files import plain_file
 from heliograph.guard.limits import ReadLimits
 from heliograph.io.files.records import columns_of, require_bytes, write_records
 
@@ -74,7 +75,7 @@ def read_pcd(path: Path) -> dict[str, NDArray[np.generic]]:
     FormatError
         The header is none of PCD, or the data are shorter than it promises.
     """
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         header = _read_header(path, file)
         if header.encoding == "ascii":
             return _read_ascii(path, file, header)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import DataError, FormatError
+from heliograph.guard.files import plain_file
 from heliograph.io.files.records import columns_of, require_bytes, write_records
 
 __all__ = ["ply_header", "read_ply", "write_ply"]
@@ -60,7 +61,7 @@ def ply_header(types: Mapping[str, np.dtype[np.generic]], count: int, comments: 
 
 def read_ply(path: Path) -> dict[str, NDArray[np.generic]]:
     """Read the vertex columns of a PLY file in any of its three encodings; `FormatError` if it is damaged."""
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         order, dtype, count = _read_header(path, file)
         if order == "=":
             return _read_ascii(path, file, dtype, count)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from heliograph.data import Trajectory
 from heliograph.errors import FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.stamps import STAMP_FILES
 from heliograph.io.files.tum import read_kitti, read_tum
 
@@ -39,7 +40,7 @@ def read_poses(path: Path | str, *, stamped: bool = False, frame: str = "map", b
     """
     path = Path(path)
     try:
-        with path.open(encoding="utf-8", errors="replace") as file:
+        with plain_file(path, TABLE).open(encoding="utf-8", errors="replace") as file:
             rows = (line.partition("#")[0].replace(",", " ").split() for line in file)
             width = next((len(row) for row in rows if row), 0)
     except OSError as error:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.guard.limits import MAX_NS
 
 __all__ = ["TextTable", "read_table"]
@@ -112,7 +113,7 @@ def read_table(path: Path, text: str | None = None) -> TextTable:
     """
     if text is None:
         try:
-            text = Path(path).read_text(encoding="utf-8-sig", errors="replace")
+            text = plain_file(path, TABLE).read_text(encoding="utf-8-sig", errors="replace")
         except OSError as error:
             raise FormatError(path, f"cannot be read: {error.strerror or error}") from error
     numbered = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]

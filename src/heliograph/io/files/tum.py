@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from heliograph.atomic import atomic_path
 from heliograph.data import Trajectory
 from heliograph.errors import FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.rows import RowFile
 from heliograph.lie import so3
 
@@ -290,7 +291,7 @@ def whole_ns(text: str, scale: int) -> int:
 def _rows_of(path: Path | str) -> Iterator[tuple[int, list[str]]]:
     """Yield line number and words of each line that is neither blank nor a comment."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = plain_file(path, TABLE).read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise FormatError(path, f"is not a text file (byte {error.start} is not UTF-8)") from None
     except OSError as error:

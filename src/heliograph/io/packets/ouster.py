@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import FormatError, MissingDependencyError
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.io.raw import RawCloud, RawImu, RawMessage
 from heliograph.lie import se3
 
@@ -34,7 +35,7 @@ def ouster_core() -> Any:  # noqa: ANN401 - an optional package without types
 def is_ouster_metadata(path: Path) -> bool:
     """Tell whether a JSON file looks like the metadata of an Ouster sensor."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(plain_file(path, SETTINGS).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return False
     return isinstance(content, dict) and bool({"beam_altitude_angles", "beam_intrinsics"} & set(content))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from heliograph.data import Event
 from heliograph.errors import FormatError
 from heliograph.guard.boundary import outside
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.io.packets.ouster import OusterDecoder, is_ouster_metadata, ouster_core
 from heliograph.io.packets.pcapfile import datagram_sizes, is_cut, is_pcap
 from heliograph.io.packets.velodyne import PACKET_SIZE, VelodyneDecoder, velodyne_decoder
@@ -104,7 +105,7 @@ def _fits(capture: Path, metadata: Path) -> bool:
     from ouster.sdk.pcap import PcapPacketSource
 
     try:
-        info = core.SensorInfo(metadata.read_text(encoding="utf-8"))
+        info = core.SensorInfo(plain_file(metadata, SETTINGS).read_text(encoding="utf-8"))
         source = PcapPacketSource(str(capture), sensor_info=[info])
         packets = [p for _, p in islice(source, _PROBE_PACKETS) if isinstance(p, core.LidarPacket)]
         source.close()
@@ -149,7 +150,7 @@ class _OusterPcap(_Pcap):
     def __init__(self, captures: Sequence[Path], metadata: Path, sizes: Counter[int]) -> None:
         super().__init__(captures)
         self._metadata_path = metadata
-        self._metadata = metadata.read_text(encoding="utf-8")
+        self._metadata = plain_file(metadata, SETTINGS).read_text(encoding="utf-8")
         decoder = self._decoder()
         info, layout = decoder.info, decoder.format
         self.description = f"Ouster capture, {info.prod_line}, metadata {metadata.name}"

@@ -8,6 +8,8 @@ from collections import Counter
 from pathlib import Path
 from typing import BinaryIO
 
+from heliograph.guard.files import plain_file
+
 __all__ = ["datagram_sizes", "is_cut", "is_pcap"]
 
 _MAGICS = {b"\xd4\xc3\xb2\xa1": "<", b"\x4d\x3c\xb2\xa1": "<", b"\xa1\xb2\xc3\xd4": ">", b"\xa1\xb2\x3c\x4d": ">"}
@@ -21,14 +23,14 @@ _MAX_COUNTED_PACKETS = 20_000
 
 def is_pcap(path: Path) -> bool:
     """Tell whether the file begins as pcap or pcapng."""
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         magic = file.read(4)
     return magic in _MAGICS or magic == _PCAPNG
 
 
 def is_cut(path: Path) -> bool:
     """Tell whether a pcap file ends inside a packet; the vendors' readers stop there without a word."""
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         order = _MAGICS.get(file.read(4))
         if order is None:
             return False
@@ -47,7 +49,7 @@ def datagram_sizes(path: Path) -> Counter[int]:
     A fragmented datagram counts once, by its full size. A pcapng file, or one of an unknown link type, gives no counts.
     """
     sizes: Counter[int] = Counter()
-    with path.open("rb") as file:
+    with plain_file(path).open("rb") as file:
         head = file.read(_FILE_HEADER)
         order = _MAGICS.get(head[:4])
         if order is None or len(head) < _FILE_HEADER:

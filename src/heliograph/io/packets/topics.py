@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import DataError
+from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.io.packets.ouster import OusterDecoder, is_ouster_metadata
 from heliograph.io.packets.velodyne import PACKET_SIZE, VelodyneDecoder, velodyne_decoder
 from heliograph.io.raw import RawMessage
@@ -85,7 +86,7 @@ def _ouster_metadata(context: PacketContext) -> dict[str, tuple[str, Path | str]
             "Ouster packets need the sensor's metadata: a std_msgs/String topic 'metadata' in the bag, or one .json "
             f"beside it (found: {names})"
         )
-    return {"": (found[0].read_text(encoding="utf-8"), found[0])}
+    return {"": (plain_file(found[0], SETTINGS).read_text(encoding="utf-8"), found[0])}
 
 
 def _metadata_files(files: Sequence[Path]) -> list[Path]:

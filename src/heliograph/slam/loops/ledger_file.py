@@ -14,6 +14,7 @@ from heliograph.arrays import Array
 from heliograph.atomic import atomic_path
 from heliograph.config import LoopConfig
 from heliograph.errors import FormatError
+from heliograph.guard.files import TABLE, plain_file
 from heliograph.registration import ResidualDistribution
 from heliograph.slam.loops.ledger import Ledger, LedgerEntry
 from heliograph.slam.loops.records import REASONS, LoopDecision, LoopEvidence, Verdict
@@ -66,7 +67,7 @@ def read_ledger(path: Path | str, config: LoopConfig | None = None) -> Ledger:
     """
     path = Path(path)
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with plain_file(path, TABLE).open(encoding="utf-8", newline="") as file:
             rows = csv.DictReader(file, strict=True)
             if tuple(rows.fieldnames or ()) != LOOP_COLUMNS:
                 missing = [name for name in LOOP_COLUMNS if name not in (rows.fieldnames or ())]
