@@ -22,6 +22,7 @@ from benchmarks import (
     imu_gnss,
     kd_tree,
     kitti,
+    lab,
     lio,
     live,
     loam,
@@ -51,6 +52,7 @@ _ALL = (
     "sharpness",
     "speed",
     "live",
+    "lab",
     "start",
     *_GRAPHS,
     "imu",
@@ -243,6 +245,12 @@ def _timings(
         _write("live", live.measure_latency(folder, threads=2))
 
 
+def _pages(wanted: Sequence[str]) -> None:
+    """Time what people look at: the lab's answers."""
+    if "lab" in wanted:
+        _write("lab", lab.measure_lab())
+
+
 def main() -> None:
     """Run what the command line asks for and write the table."""
     arguments = _parse()
@@ -259,6 +267,7 @@ def main() -> None:
     if "sharpness" in wanted:
         _write("sharpness", kitti.sharpness(arguments.data, ADAPTERS["heliograph"], arguments.work, bins))
     _timings(arguments, wanted, timed, bins)
+    _pages(wanted)
     if "start" in wanted:
         names, seeds = list(start.START_CASES), arguments.runs or _RUNS["start"]
         _write("start", start.compare_starts(arguments.work, ours / "heliograph", names=names, runs=seeds))

@@ -18,6 +18,7 @@ from benchmarks.healthy import healthy_section
 from benchmarks.imu_table import gnss_section, lio_section, preintegration_section
 from benchmarks.incremental_table import incremental_scale_section, incremental_section
 from benchmarks.kd_tree import kd_tree_section
+from benchmarks.lab import lab_section
 from benchmarks.live import live_section
 from benchmarks.loam import loam_section
 from benchmarks.localization_table import localization_section
@@ -50,6 +51,7 @@ _OTHER_SECTIONS = {
     "lio": lio_section,
     "loam": loam_section,
     "live": live_section,
+    "lab": lab_section,
     "calibrate": calibration_section,
     "registration": registration_section,
     "global_alignment": global_section,

@@ -28,7 +28,7 @@ _FLAGS = [
 class Browser:
     """One page of a headless Chromium; what it asked for and complained about is in `requests` and `complaints`."""
 
-    def __init__(self, profile, *, width=1400, height=1000, dark=False, patience=60.0):
+    def __init__(self, profile, *, width=1400, height=1000, dark=False, still=False, patience=60.0):
         self.requests, self.complaints, self._events = [], [], []
         self._numbers, self._buffer, self._patience = itertools.count(1), b"", patience
         to_browser, self._write = os.pipe()
@@ -54,7 +54,10 @@ class Browser:
         self.resize(width, height)
         self.call(
             "Emulation.setEmulatedMedia",
-            features=[{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}],
+            features=[
+                {"name": "prefers-color-scheme", "value": "dark" if dark else "light"},
+                {"name": "prefers-reduced-motion", "value": "reduce" if still else "no-preference"},
+            ],
         )
 
     def __enter__(self):

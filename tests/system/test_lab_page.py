@@ -35,8 +35,10 @@ def address():
 
 @pytest.fixture(scope="module", params=[(1400, False), (390, True)], ids=["wide-light", "phone-dark"])
 def browser(request, tmp_path_factory, address):
+    """One asks for less motion, which is the phone's."""
     width, dark = request.param
-    with Browser(tmp_path_factory.mktemp("profile"), width=width, height=900, dark=dark, patience=240.0) as page:
+    options = {"width": width, "height": 900, "dark": dark, "still": dark, "patience": 240.0}
+    with Browser(tmp_path_factory.mktemp("profile"), **options) as page:
         yield page
         assert page.complaints == []
         assert [url for url in page.requests if not url.startswith((address, "data:", "blob:", "about:"))] == []
@@ -97,6 +99,15 @@ def test_loop_is_driven_and_closed_by_keys_and_touch(browser, address):
     browser.tap("button[data-action=close]")
     browser.wait_for("document.getElementById('message').textContent.startsWith('The loop is closed')")
     same(browser.evaluate(SHOWN), expected("loop", {}, ["drive"] * 3 + ["close"]))
+    still = browser.evaluate("matchMedia('(prefers-reduced-motion: reduce)').matches")
+    if not still:  # the correction is seen to go down the tree ...
+        browser.wait_for("heliographLab.motion.frames > 3")
+    browser.wait_for("heliographLab.state.view.charts[0].traces[2].frames.length > 2")
+    browser.evaluate("new Promise((later) => setTimeout(later, 700))")
+    assert (browser.evaluate("heliographLab.motion.frames") == 0) == still, "... but by those who asked for no motion"
+    ended = "[...document.querySelector('figure[data-name=path] .plot').data.find((t) => t.name === 'estimate').x]"
+    wanted = "heliographLab.state.view.charts[0].traces.find((t) => t.name === 'estimate').x"
+    assert browser.evaluate(ended) == browser.evaluate(wanted), "and ends at what the engine says"
 
 
 @pytest.mark.slow

@@ -18,8 +18,11 @@ def view(
     rrd: Annotated[
         Path | None, typer.Option("--rrd", metavar="FILE", help="Write a file to share in place of a window.")
     ] = None,
+    scans: Annotated[
+        Path | None, typer.Option("--scans", metavar="DIR", help="Show every scan that `run --dump-scans DIR` wrote.")
+    ] = None,
     no_residuals: Annotated[
-        bool, typer.Option("--no-residuals", help="Colour no keyframe by its distance to the map: quicker.")
+        bool, typer.Option("--no-residuals", help="Colour no cloud by its distance to the map: quicker.")
     ] = False,
 ) -> None:
     """Show a run in Rerun: map, way, covariance, keyframes by residual, curves over time, loops, graph, Bayes tree."""
@@ -31,7 +34,7 @@ def view(
     screen = Screen(folder.resolve().name, file=rrd, window=rrd is None)
     tell_port(screen)
     try:
-        missing = show_run(folder, screen, residuals=not no_residuals)
+        missing = show_run(folder, screen, residuals=not no_residuals, scans=scans)
     except BaseException:
         end_screen(screen)
         raise

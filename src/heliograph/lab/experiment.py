@@ -148,6 +148,8 @@ class ChartTrace:
         A broken line.
     values : array_like, optional
         Colours of points by a number each, such as the height.
+    frames : tuple of (array_like, array_like)
+        What comes before ``x`` and ``y``, shown one after another to those who like things to move.
     """
 
     name: str
@@ -158,6 +160,7 @@ class ChartTrace:
     color: int = 1
     dashed: bool = False
     values: ArrayLike | None = None
+    frames: tuple[tuple[ArrayLike, ArrayLike], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -313,7 +316,11 @@ def _trace(trace: ChartTrace) -> dict[str, Any]:
     columns = {key: getattr(trace, key) for key in ("x", "y", "z", "values") if getattr(trace, key) is not None}
     longest = max((len(np.atleast_1d(np.asarray(column))) for column in columns.values()), default=0)
     stride = -(-longest // MAX_POINTS) if trace.kind in ("points", "cloud") else 1
-    plain = {key: _column(np.atleast_1d(np.asarray(column))[:: max(stride, 1)]) for key, column in columns.items()}
+    plain: dict[str, Any] = {
+        key: _column(np.atleast_1d(np.asarray(column))[:: max(stride, 1)]) for key, column in columns.items()
+    }
+    if trace.frames:
+        plain["frames"] = [{"x": _column(np.asarray(x)), "y": _column(np.asarray(y))} for x, y in trace.frames]
     return {"name": trace.name, "kind": trace.kind, "color": trace.color, "dashed": trace.dashed, **plain}
 
 

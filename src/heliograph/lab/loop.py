@@ -67,7 +67,7 @@ class LoopRun(ExperimentRun):
         keeps = settings.get("relinearize", "poses that moved") == "nothing"
         self.smoother = ISAM2(ISAM2Settings(relinearize_threshold=_NEVER) if keeps else None)
         self.result: UpdateResult | None = None
-        self.driven, self.closed = 0, False
+        self.driven, self.closed, self.rippling = 0, False, False
         self.before: NDArray[np.float64] | None = None
         values, graph = Values(), FactorGraph()
         values.insert(0, self.odometry[0])
@@ -83,6 +83,7 @@ class LoopRun(ExperimentRun):
 
     def drive(self) -> None:
         """Add the next five poses, each with the factor that joins it to the one before; stop after the round."""
+        self.rippling = False
         for k in range(self.driven, min(self.driven + _STRIDE, POSES)):
             step = self.odometry[k].inverse() @ self.odometry[k + 1]
             graph, values = FactorGraph(), Values()
@@ -93,6 +94,7 @@ class LoopRun(ExperimentRun):
 
     def close(self) -> None:
         """Join the last pose to the first: what odometry has drifted by is given back."""
+        self.rippling = self.closed or self.driven >= 10
         if self.closed or self.driven < 10:
             return
         self.before = self.positions()
@@ -105,6 +107,20 @@ class LoopRun(ExperimentRun):
     def positions(self) -> NDArray[np.float64]:
         """Return the positions as estimated now, (driven + 1, 2) [m]."""
         return np.asarray(self.smoother.estimate(np.arange(self.driven + 1)).translation)
+
+    def ripple(self, cliques: tuple[CliqueRecord, ...]) -> list[NDArray[np.float64]]:
+        """Return the positions while the correction goes down the tree, a level at a time, (driven + 1, 2) each [m].
+
+        Back-substitution solves the root first and every clique after its parent: those that it has reached are where
+        they come to stand, the others still where they were. Empty where nothing was closed just now.
+        """
+        if not self.rippling or self.before is None:
+            return []
+        level, now = _levels(cliques), self.positions()
+        of_pose = np.zeros(len(now), dtype=np.int64)
+        for clique in cliques:
+            of_pose[list(clique.pivots)] = level[clique.number]
+        return [np.where((of_pose < reached)[:, None], now, self.before) for reached in range(max(of_pose) + 1)]
 
     def given_in(self) -> NDArray[np.float64]:
         """Return by how much each step gave in when the loop was closed, (driven,) [m]."""
@@ -133,7 +149,8 @@ class LoopRun(ExperimentRun):
         if len(given):
             mean = float(given.mean())
             readings.append(Reading(name="given_in", label="each step gave in by", value=mean, unit="m"))
-        charts = [self._path_chart(now), _tree_chart(cliques)]
+        ripple = self.ripple(cliques)
+        charts = [self._path_chart(now, ripple), _tree_chart(cliques, rippling=bool(ripple))]
         if len(given):
             steps = np.arange(1, len(given) + 1)
             charts.insert(
@@ -147,15 +164,16 @@ class LoopRun(ExperimentRun):
         message, done = self._message(touched, len(cliques)), self.driven == POSES
         return ExperimentView(message=message, readings=tuple(readings), charts=tuple(charts), done=done)
 
-    def _path_chart(self, now: NDArray[np.float64]) -> Chart:
+    def _path_chart(self, now: NDArray[np.float64], ripple: list[NDArray[np.float64]]) -> Chart:
         truth = self.truth.translation[: self.driven + 1]
         traces = [ChartTrace(name="truth", kind="line", x=truth[:, 0], y=truth[:, 1], color=0, dashed=True)]
         if self.before is not None:
             traces.append(ChartTrace(name="before", kind="line", x=self.before[:, 0], y=self.before[:, 1], color=3))
-            pairs = np.stack([self.before, now[: len(self.before)], np.full_like(self.before, np.nan)], axis=1)[::2]
-            flat = pairs.reshape(-1, 2)
-            traces.append(ChartTrace(name="correction", kind="segments", x=flat[:, 0], y=flat[:, 1], color=3))
-        traces.append(ChartTrace(name="estimate", kind="line", x=now[:, 0], y=now[:, 1], color=1))
+            x, y = _segments(self.before, now[: len(self.before)])
+            frames = tuple(_segments(self.before, places) for places in ripple)
+            traces.append(ChartTrace(name="correction", kind="segments", x=x, y=y, color=3, frames=frames))
+        frames = tuple((places[:, 0], places[:, 1]) for places in ripple)
+        traces.append(ChartTrace(name="estimate", kind="line", x=now[:, 0], y=now[:, 1], color=1, frames=frames))
         traces.append(ChartTrace(name="start", kind="points", x=now[:1, 0], y=now[:1, 1], color=2))
         return Chart(name="path", title="The drive, from above", x="x [m]", y="y [m]", equal=True, traces=tuple(traces))
 
@@ -173,13 +191,26 @@ class LoopRun(ExperimentRun):
         return f"{self.driven} steps driven. The last update made {touched} of {cliques} cliques: the end of the chain."
 
 
-def _tree_chart(cliques: tuple[CliqueRecord, ...]) -> Chart:
+def _segments(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return x and y of lines from every other start (N, 2) to its end, parted by NaN."""
+    flat = np.stack([start, end, np.full_like(start, np.nan)], axis=1)[::2].reshape(-1, 2)
+    return flat[:, 0], flat[:, 1]
+
+
+def _levels(cliques: tuple[CliqueRecord, ...]) -> dict[int, int]:
+    """Return the number of cliques above each one."""
+    level: dict[int, int] = {}
+    for clique in cliques:  # parents come before their children
+        level[clique.number] = level[clique.parent] + 1 if clique.parent is not None else 0
+    return level
+
+
+def _tree_chart(cliques: tuple[CliqueRecord, ...], *, rippling: bool) -> Chart:
     """Draw the Bayes tree in layers, the root on top, what the last update made in another colour."""
-    depth: dict[int, int] = {}
+    depth = _levels(cliques)
     across: dict[int, float] = {}
     children: dict[int | None, list[int]] = {}
     for clique in cliques:
-        depth[clique.number] = depth.get(clique.parent, -1) + 1 if clique.parent is not None else 0
         children.setdefault(clique.parent, []).append(clique.number)
     leaves = 0.0
     for clique in reversed(cliques):
@@ -197,6 +228,10 @@ def _tree_chart(cliques: tuple[CliqueRecord, ...]) -> Chart:
         part = [clique.number for clique in cliques if clique.touched is touched]
         x, y = [across[number] for number in part], [-depth[number] for number in part]
         traces.append(ChartTrace(name=name, kind="points", x=x, y=y, color=color))
+    if rippling:
+        layers = [[number for number in depth if depth[number] == at] for at in range(max(depth.values()) + 1)]
+        frames = tuple(([across[n] for n in layer], [float(-depth[n]) for n in layer]) for layer in layers)
+        traces.append(ChartTrace(name="the correction is here", kind="points", x=[], y=[], color=3, frames=frames))
     return Chart(name="tree", title="The Bayes tree, root on top", x="", y="depth [cliques]", traces=tuple(traces))
 
 
@@ -225,8 +260,9 @@ EXPERIMENT = Experiment(
     title="Closing a loop",
     chapter="5: loops and the Bayes tree",
     question="Odometry drifts a little with every step. Drive round the circle, then close the loop: the error is "
-    "handed out over all poses, none of them gets a kink. Poses that moved far are linearised "
-    "again, and their cliques with them; without that, the loop touches the clique of its last pose and no other.",
+    "handed out over all poses, none of them gets a kink; it goes down the tree from its root. Poses that moved far "
+    "are linearised again, and their cliques with them; without that, the loop touches the clique of its last pose "
+    "and no other.",
     controls=(
         Control(name="drift", label="Drift of a round", default=2.0, low=0.0, high=6.0, step=0.25, unit="m"),
         Control(

@@ -7,12 +7,13 @@ import socket
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from heliograph.errors import ConfigError, HeliographError, MissingDependencyError, OutputError
-from heliograph.lab.experiment import Experiment, ExperimentRun
+from heliograph.lab.experiment import Experiment, ExperimentRun, ExperimentView
 from heliograph.lab.experiments import EXPERIMENTS, find_experiment
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ __all__ = ["HOST", "Laboratory", "create_app", "free_socket", "serve"]
 
 HOST = "127.0.0.1"
 _PORTS_TRIED = 20
+PATIENCE = 0.07
+"""How long an answer waits for the engine [s]; then it says that the engine is still at it, and is asked again."""
 _MAX_RUNS = 12  # begun experiments that are kept; the one used longest ago goes first
 _MAX_BODY = 10_000  # bytes of a request
 _KINDS = {"html": "text/html", "js": "text/javascript", "css": "text/css", "svg": "image/svg+xml"}
@@ -38,54 +41,110 @@ EXTRA = "the lab needs starlette, uvicorn and plotly; install them with `pip ins
 
 @dataclass(slots=True)
 class _Begun:
+    """An experiment under way, and what the engine does for it or has done last."""
+
     experiment: Experiment
-    run: ExperimentRun
+    run: ExperimentRun | None = None
     lock: threading.Lock = field(default_factory=threading.Lock)
+    job: Future[dict[str, Any]] | None = None
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def busy(self) -> bool:
+        """Whether the engine is at it."""
+        return self.job is not None and not self.job.done()
 
 
 class Laboratory:
-    """The experiments that have been begun, by number."""
+    """The experiments that have been begun, by number.
+
+    The engine works in threads of its own and an answer waits for it no longer than `PATIENCE`: most steps are done by
+    then; a search for a place that was lost takes a second, and is told as such until it is.
+    """
 
     def __init__(self) -> None:
         self._runs: OrderedDict[int, _Begun] = OrderedDict()
         self._count = 0
         self._lock = threading.Lock()
+        self._engine = ThreadPoolExecutor(max_workers=_MAX_RUNS, thread_name_prefix="lab")
 
     def begin(self, name: str, given: dict[str, Any]) -> dict[str, Any]:
         """Begin an experiment and return its number and first view."""
         experiment = find_experiment(name)
         settings = experiment.settings(given)
-        begun = _Begun(experiment, experiment.begin(settings))
-        view = begun.run.view(settings).as_dict()
+        begun, oldest = _Begun(experiment), None
         with self._lock:
             self._count += 1
             number = self._count
             self._runs[number] = begun
-            while len(self._runs) > _MAX_RUNS:
+            if len(self._runs) > _MAX_RUNS:
                 _, oldest = self._runs.popitem(last=False)
-                with oldest.lock:
-                    oldest.run.release()
-        return {"run": number, "settings": settings, "view": view}
+        if oldest is not None:
+            self._let_go(oldest)
+        with begun.lock:
+            return self._answer(number, begun, "begin", settings)
 
     def close(self) -> None:
         """Release what the runs hold."""
         with self._lock:
-            for begun in self._runs.values():
-                begun.run.release()
+            runs = list(self._runs.values())
             self._runs.clear()
+        for begun in runs:
+            self._let_go(begun)
+        self._engine.shutdown()
 
     def act(self, number: int, action: str, given: dict[str, Any]) -> dict[str, Any]:
-        """Take a step of a run, or with the action ``"show"`` only look at it, and return its view."""
+        """Take a step of a run, or with the action ``"show"`` only look at it, and return its view.
+
+        While the engine is still at what it was asked before, whatever is asked is answered by that.
+        """
         with self._lock:
             begun = self._runs.get(number)
             if begun is None:
                 raise ConfigError(f"run {number} is not there any more; begin again")
             self._runs.move_to_end(number)
         settings = begun.experiment.settings(given)
+        if action != "show":
+            begun.experiment.action(action)
         with begun.lock:
-            if action != "show":
-                begun.run.step(begun.experiment.action(action), settings)
-            return {"run": number, "settings": settings, "view": begun.run.view(settings).as_dict()}
+            return self._answer(number, begun, action, settings)
+
+    def _answer(self, number: int, begun: _Begun, action: str, settings: dict[str, Any]) -> dict[str, Any]:
+        """Return what the engine makes of an action, or that it is still at one."""
+        known = begun.job is not None and action == "show" and begun.settings == settings
+        if not (begun.busy or known):
+            begun.settings, begun.job = settings, self._engine.submit(_work, begun, action, settings)
+        assert begun.job is not None
+        wait([begun.job], PATIENCE)
+        if begun.busy:
+            view = ExperimentView(message="The engine is still at it …").as_dict()
+            return {"run": number, "settings": begun.settings, "view": view, "pending": True}
+        job = begun.job
+        if job.exception() is not None:
+            begun.job = None  # told once; the next look finds the run as it is
+        return {"run": number, "settings": begun.settings, "view": job.result(), "pending": False}
+
+    def _let_go(self, begun: _Begun) -> None:
+        """Release what a run holds, as soon as the engine is done with it."""
+
+        def release(_: object) -> None:
+            if begun.run is not None:
+                begun.run.release()
+
+        with begun.lock:
+            if begun.job is None:
+                release(None)
+            else:
+                begun.job.add_done_callback(release)
+
+
+def _work(begun: _Begun, action: str, settings: dict[str, Any]) -> dict[str, Any]:
+    """Do what was asked and return the view; runs in a thread of the engine."""
+    if begun.run is None:
+        begun.run = begun.experiment.begin(settings)
+    elif action not in ("show", "begin"):
+        begun.run.step(action, settings)
+    return begun.run.view(settings).as_dict()
 
 
 async def _body_of(request: Request) -> dict[str, Any]:

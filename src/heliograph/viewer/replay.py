@@ -20,10 +20,11 @@ from heliograph.guard.account import read_account
 from heliograph.guard.files import TABLE, plain_file
 from heliograph.io.files.clouds import CLOUD_SUFFIXES, read_cloud
 from heliograph.io.files.poses import read_poses
+from heliograph.lie import interpolate_se3
 from heliograph.maps import KdTreeMap
 from heliograph.revision import RunGraph, open_run_graph
-from heliograph.viewer.live import SIGMAS
-from heliograph.viewer.screen import HEIGHT, RESIDUAL, Screen, colored
+from heliograph.viewer.live import MAX_POINTS, SIGMAS
+from heliograph.viewer.screen import FAR, HEIGHT, RESIDUAL, Screen, colored
 
 __all__ = ["read_columns", "show_run"]
 
@@ -31,7 +32,6 @@ MAX_MAP_POINTS = 2_000_000
 """Points of the map that are shown; a viewer holds more, a file to share grows by 15 bytes each."""
 MAX_CLIQUES = 2_000
 """Keyframes up to which the Bayes tree is built and shown."""
-_FAR = 0.10  # residual at which the scale ends [m]
 _PIXELS = 20.0  # a metre in the drawing of the graph
 _SPACING = 0.1  # of the map's points where its planes are looked for [m]
 _PATH, _LOOP, _REFUSED, _TREE = (90, 160, 250), (70, 176, 123), (150, 110, 110), (224, 161, 94)
@@ -48,7 +48,7 @@ _CURVES: dict[str, tuple[str, tuple[str, ...]]] = {
 _SINGLE = {"plots/rms": "rms", "plots/matches": "matches", "plots/ms": "ms_total", "plots/weak_share": "weak_share"}
 
 
-def show_run(folder: Path, screen: Screen, *, residuals: bool = True) -> list[str]:
+def show_run(folder: Path, screen: Screen, *, residuals: bool = True, scans: Path | None = None) -> list[str]:
     """Show a run that has ended; return what of it there was nothing to show of, a line each.
 
     Parameters
@@ -57,7 +57,9 @@ def show_run(folder: Path, screen: Screen, *, residuals: bool = True) -> list[st
         What `run` wrote.
     screen : Screen
     residuals : bool
-        Colour the keyframes' clouds by their distance to the map's planes, which takes about 20 ms each.
+        Colour the clouds of keyframes and scans by their distance to the map's planes, which takes about 20 ms each.
+    scans : Path, optional
+        The folder that `run --dump-scans` filled: every scan is shown, not the keyframes only.
 
     Raises
     ------
@@ -73,12 +75,15 @@ def show_run(folder: Path, screen: Screen, *, residuals: bool = True) -> list[st
     if cloud is None:
         missing.append(f"{folder} holds no map that can be shown: way and curves only")
     _show_account(facts, columns, screen)
+    tree = _planes_of(cloud) if residuals and cloud is not None else None
+    if scans is not None:
+        _show_scans(folder, scans, screen, tree)
     try:
         run = open_run_graph(folder)
     except HeliographError as error:
         missing.append(f"no keyframes, loops or graph to show: {error}")
         return missing
-    _show_keyframes(run, screen, cloud if residuals else None)
+    _show_keyframes(run, screen, tree)
     _show_loops(run, screen)
     missing += _show_graph(run, screen)
     return missing
@@ -179,26 +184,59 @@ def _show_account(facts: Mapping[str, Any], columns: Mapping[str, NDArray[Any]],
         before = verdict
 
 
-def _show_keyframes(run: RunGraph, screen: Screen, cloud: NDArray[np.float32] | None) -> None:
-    tree = None
-    if cloud is not None:
-        tree = KdTreeMap(KdTreeMapConfig(spacing=_SPACING))
-        tree.insert(cloud, np.eye(4))
+def _planes_of(cloud: NDArray[np.float32]) -> KdTreeMap:
+    tree = KdTreeMap(KdTreeMapConfig(spacing=_SPACING))
+    tree.insert(cloud, np.eye(4))
+    return tree
+
+
+def _show_points(
+    place: str, points: NDArray[np.float32], T: NDArray[np.float64], screen: Screen, tree: KdTreeMap | None, curve: str
+) -> None:
+    """Show points (N, 3) [m] below a pose (4, 4), coloured by what they lie off the map's planes, and its RMS."""
+    colors = None
+    if tree is not None and len(points):
+        placed = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+        planes = tree.planes_at(placed, gate=1.0)
+        off = np.abs(np.einsum("ij,ij->i", planes.normal.astype(np.float64), placed - planes.point))
+        off = np.where(planes.source > 0, off, np.nan)
+        colors = colored(off, 0.0, FAR, RESIDUAL)
+        found = off[np.isfinite(off)]
+        screen.values(curve, [float(np.sqrt(np.mean(found**2))) if len(found) else float("nan")])
+    screen.points(place, points, colors=colors, size=2.0)
+
+
+def _show_keyframes(run: RunGraph, screen: Screen, tree: KdTreeMap | None) -> None:
     for index, stamp in enumerate(run.store.stamps_ns.tolist()):
-        points = run.points(index)
         screen.at(stamp)
         screen.pose("map/keyframe", run.T_map_imu[index])
-        colors = None
-        if tree is not None and len(points):
-            T = run.T_map_imu[index]
-            placed = points.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
-            planes = tree.planes_at(placed, gate=1.0)
-            off = np.abs(np.einsum("ij,ij->i", planes.normal.astype(np.float64), placed - planes.point))
-            off = np.where(planes.source > 0, off, np.nan)
-            colors = colored(off, 0.0, _FAR, RESIDUAL)
-            found = off[np.isfinite(off)]
-            screen.values("plots/map_residual", [float(np.sqrt(np.mean(found**2))) if len(found) else float("nan")])
-        screen.points("map/keyframe/points", points, colors=colors, size=2.0)
+        _show_points("map/keyframe/points", run.points(index), run.T_map_imu[index], screen, tree, "plots/map_residual")
+
+
+def _show_scans(folder: Path, scans: Path, screen: Screen, tree: KdTreeMap | None) -> None:
+    """Show the scans that were written as files, each where the finished run has it."""
+    files = sorted(scans.glob("*.ply")) if scans.is_dir() else []
+    if not files:
+        raise FormatError(scans, "holds no scans; name the folder that `run --dump-scans` filled")
+    ends = _ends_of_scans(folder / "scans.csv")
+    rate = folder / "trajectory_imu_rate.tum"
+    way = read_poses(rate if rate.is_file() else folder / "trajectory.tum", stamped=True)
+    for file in files:
+        if (end_ns := ends.get(file.stem.lstrip("0") or "0")) is None:
+            raise FormatError(file, f"is no scan of {folder}; name the folder that this run's --dump-scans filled")
+        points = np.ascontiguousarray(read_cloud(file).points, dtype=np.float32)
+        T = interpolate_se3(way.stamps_ns, way.T_frame_body, np.array([end_ns]), extrapolate=True)[0]
+        screen.at(end_ns)
+        screen.pose("map/scan", T)
+        _show_points(
+            "map/scan/points", points[:: -(-len(points) // MAX_POINTS)], T, screen, tree, "plots/scan_residual"
+        )
+
+
+def _ends_of_scans(path: Path) -> dict[str, int]:
+    """Return number -> end of each scan [ns]; `read_columns` has seen to it that there is one."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return {row["index"]: int(row["end_ns"]) for row in csv.DictReader(file)}
 
 
 def _show_loops(run: RunGraph, screen: Screen) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from heliograph.errors import MissingDependencyError, OutputError
 from heliograph.lie import so3
 
-__all__ = ["HEIGHT", "PORT", "RESIDUAL", "TIME", "Screen", "check_display", "colored", "free_port"]
+__all__ = ["FAR", "HEIGHT", "PORT", "RESIDUAL", "TIME", "Screen", "check_display", "colored", "free_port"]
 
 TIME = "time"
 """Name of the time line: the recording's own clock."""
@@ -25,6 +25,8 @@ HEIGHT: Scale = ((47, 95, 179), (43, 147, 184), (53, 181, 151), (134, 207, 106),
 """Colours from low to high, ordered in lightness up to the last."""
 RESIDUAL: Scale = ((49, 120, 198), (70, 176, 123), (245, 184, 61), (229, 72, 77))
 """Colours from none to large."""
+FAR = 0.10
+"""Residual at which that scale ends [m]."""
 PORT = 9876
 """First port that a window listens on."""
 _PORTS_TRIED, _PATIENCE = 20, 20.0  # [s]

@@ -1,6 +1,7 @@
 """The lab's experiments say what the engine says, and the lesson's numbers come out."""
 
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -146,6 +147,25 @@ def test_closed_loop_hands_its_drift_out_and_touches_a_part_of_the_tree(relinear
     assert run.given_in().max() < 0.021
     assert 0 < shown["touched"] < shown["cliques"]
     assert (shown["touched"] < 0.5 * shown["cliques"]) == (relinearize == "nothing")
+
+
+def test_correction_goes_down_the_tree_from_its_root():
+    run = LoopRun({"drift": 2.0})
+    while run.driven < 60:
+        run.drive()
+    assert run.ripple(run.smoother.cliques()) == []
+    run.close()
+    cliques = run.smoother.cliques()
+    frames, now = run.ripple(cliques), run.positions()
+    corrected = [{k for k in range(61) if not np.array_equal(frame[k], run.before[k])} for frame in (*frames, now)]
+    # Pose 0 is fixed; each level adds its own poses, and none before its parent's.
+    assert not corrected[0] and corrected[-1] == set(range(1, 61)) and len(frames) > 5
+    assert all(less < more for less, more in pairwise(corrected))
+    assert corrected[1] == {pivot for clique in cliques if clique.parent is None for pivot in clique.pivots}
+    charts = {chart.name: chart for chart in run.view({}).charts}
+    assert all(any(trace.frames for trace in charts[name].traces) for name in ("path", "tree"))
+    run.drive()
+    assert run.ripple(run.smoother.cliques()) == []
 
 
 def test_loop_without_a_drive_cannot_be_closed():

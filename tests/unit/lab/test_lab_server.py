@@ -7,12 +7,14 @@ import threading
 import time
 import urllib.error
 import urllib.request
+from dataclasses import replace
 
 import pytest
 
 from heliograph.cli.main import main
 from heliograph.errors import ConfigError, MissingDependencyError, OutputError
 from heliograph.lab import EXPERIMENTS
+from heliograph.lab.experiment import ExperimentRun, ExperimentView
 from heliograph.lab.server import HOST, Laboratory, create_app, free_socket
 
 uvicorn = pytest.importorskip("uvicorn", reason="the lab needs the extra `lab`")
@@ -90,6 +92,50 @@ def test_bad_request_is_one_line(address, path, body, words):
     status, _, answer = ask(address, path, body)
     assert status == 400
     assert words in json.loads(answer)["error"]
+
+
+class Slow(ExperimentRun):
+    """A run whose steps wait until they are let go; a number counts them."""
+
+    def __init__(self, _):
+        self.steps, self.gate, self.released = 0, threading.Event(), threading.Event()
+
+    def step(self, action, settings):
+        assert self.gate.wait(timeout=60)
+        if self.steps == 1:
+            raise ConfigError("the second step is refused")
+        self.steps += 1
+
+    def view(self, settings):
+        return ExperimentView(message=f"{self.steps} steps")
+
+    def release(self):
+        self.released.set()
+
+
+def test_answer_does_not_wait_for_an_engine_that_takes_long(monkeypatch):
+    run, laboratory = Slow({}), Laboratory()
+    slow = replace(EXPERIMENTS["tunnel"], begin=lambda _: run)
+    monkeypatch.setattr("heliograph.lab.server.find_experiment", lambda _: slow)
+    number = laboratory.begin("tunnel", {})["run"]
+    for action in ("step", "show", "step"):  # what is asked meanwhile takes no step of its own
+        answer = laboratory.act(number, action, {})
+        assert answer["pending"] and "still at it" in answer["view"]["message"]
+    run.gate.set()
+    while (answer := laboratory.act(number, "show", {}))["pending"]:
+        pass
+    assert answer["view"]["message"] == "1 steps"
+    with pytest.raises(ConfigError, match="second step is refused"):
+        laboratory.act(number, "step", {})
+    assert laboratory.act(number, "show", {})["view"]["message"] == "1 steps", "a refusal is told once"
+    run.gate.clear()
+    assert laboratory.act(number, "step", {})["pending"]
+    for _ in range(12):
+        laboratory.begin("tunnel", {})
+    assert not run.released.is_set(), "what the engine works on is not taken from it"
+    run.gate.set()
+    assert run.released.wait(timeout=60)
+    laboratory.close()
 
 
 def test_unknown_action_is_refused(address):

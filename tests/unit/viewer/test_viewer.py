@@ -1,5 +1,6 @@
 """The viewer: the file to share, read back by Rerun's own reader, and what is said where there is nothing."""
 
+import csv
 import json
 import os
 import shutil
@@ -74,6 +75,36 @@ def test_run_shows_each_scan_while_it_goes_on_and_the_whole_behind_it(made):
     assert sum(row is not None for row in shown["/odom/imu/scan"]["Points3D:positions"]) == scans
     assert sum(row is not None for row in shown["/live/gyro_bias"]["Scalars:scalars"]) == scans
     assert "/map/points" in shown and "/graph/factors" in shown
+
+
+def test_scans_show_their_matches_by_residual_while_the_run_goes_on(made):
+    shown = contents(made / "live.rrd")
+    rows = list(csv.DictReader((made / "run" / "scans.csv").read_text().splitlines()))
+    matched = [row for row in shown["/odom/imu/matches"]["Points3D:positions"] if row]
+    colors = [row for row in shown["/odom/imu/matches"]["Points3D:colors"] if row]
+    assert len(rows) - 2 <= len(matched) == len(colors) < len(rows), "all scans but those that nothing came before"
+    assert all(len(points) == len(color) > 500 for points, color in zip(matched, colors, strict=True))
+    residuals = np.array([row[0] for row in shown["/live/median_residual"]["Scalars:scalars"] if row])
+    rms = np.array([float(row["rms"]) for row in rows[-10:]])
+    assert np.all((0.3 * rms < residuals[-10:]) & (residuals[-10:] < rms)), "as large as the odometry's own matches"
+    assert len(set(colors[-1])) > 10
+
+
+def test_view_shows_every_dumped_scan_where_the_run_has_it(made, tmp_path, capsys):
+    file = tmp_path / "x.rrd"
+    assert main(["view", str(made / "run"), "--rrd", str(file), "--scans", str(made / "scans")]) == 0
+    shown = contents(file)
+    clouds = [row for row in shown["/map/scan/points"]["Points3D:positions"] if row]
+    assert len(clouds) == len(rows_of_scans(made / "run"))
+    residuals = [row[0] for row in shown["/plots/scan_residual"]["Scalars:scalars"] if row]
+    assert len(residuals) == len(clouds) and max(residuals[5:]) < 0.05, "they lie on the map"
+    (tmp_path / "other").mkdir()
+    shutil.copy(made / "scans" / "000003.ply", tmp_path / "other" / "000999.ply")
+    for folder, said in ((tmp_path / "none", "holds no scans"), (tmp_path / "other", "is no scan of")):
+        capsys.readouterr()
+        assert main(["view", str(made / "run"), "--rrd", str(file), "--scans", str(folder)]) == 2
+        error = capsys.readouterr().err
+        assert said in error and error.count("\n") == 1, error
 
 
 def test_dumped_scans_are_a_cloud_each(made):

@@ -1,13 +1,19 @@
 // Draws what the engine answered with the drawing library that the installed package ships; computes nothing itself.
 // @ts-check
 
-/** @typedef {{name: string, kind: string, x: any[], y: any[], z?: any[], values?: number[], color: number, dashed: boolean}} Trace */
+/** @typedef {{name: string, kind: string, x: any[], y: any[], z?: any[], values?: number[], color: number, dashed: boolean,
+ *   frames?: {x: any[], y: any[]}[]}} Trace */
 /** @typedef {{name: string, title: string, x: string, y: string, traces: Trace[], equal: boolean, log: boolean,
  *   x_range: number[] | null, y_range: number[] | null, lines: [number, string][]}} Chart */
 
 const MANY = 400; // points from which they are drawn by the graphics card, where there is one
 const HAS_WEBGL = Boolean(document.createElement("canvas").getContext("webgl"));
 const CONFIG = { displaylogo: false, responsive: true, displayModeBar: false, scrollZoom: false };
+
+const FRAME = 70; // milliseconds
+const STILL = matchMedia("(prefers-reduced-motion: reduce)");
+/** Counts what was shown; what moves ends when it grows. */
+export const motion = { shown: 0, frames: 0 };
 
 /** @param {string} name */
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
@@ -67,6 +73,7 @@ function layout(chart) {
  * @param {HTMLElement} place
  * @param {Chart[]} charts */
 export function show(place, charts) {
+  motion.shown += 1;
   const wanted = new Set(charts.map((chart) => chart.name));
   for (const figure of [...place.querySelectorAll("figure")]) {
     if (!wanted.has(figure.dataset.name ?? "")) {
@@ -94,5 +101,25 @@ export function show(place, charts) {
     Plotly.react(figure.children[1], chart.traces.map(drawn), layout(chart), CONFIG);
     if (!fresh && figure.clientWidth !== Number(figure.dataset.width)) Plotly.Plots.resize(figure.children[1]);
     figure.dataset.width = String(figure.clientWidth);
+  }
+}
+
+/** Lets the charts come to what they show: every trace's frames, one after another, of all charts at once. Whoever
+ * asked for less motion sees the end only; so does who has stepped on meanwhile.
+ * @param {HTMLElement} place
+ * @param {Chart[]} charts */
+export async function play(place, charts) {
+  const moving = charts.flatMap((chart) => chart.traces.map((trace, index) => ({ chart, trace, index })))
+    .filter(({ trace }) => trace.frames?.length);
+  if (STILL.matches || !moving.length) return;
+  const [shown, count] = [motion.shown, Math.max(...moving.map(({ trace }) => trace.frames?.length ?? 0))];
+  for (let number = 0; number <= count; number++) {
+    for (const { chart, trace, index } of moving) {
+      const { x, y } = trace.frames?.[number] ?? trace;
+      Plotly.restyle(place.querySelector(`figure[data-name="${chart.name}"] .plot`), { x: [x], y: [y] }, [index]);
+    }
+    motion.frames += 1;
+    await new Promise((later) => { setTimeout(later, FRAME); });
+    if (motion.shown !== shown) return;
   }
 }

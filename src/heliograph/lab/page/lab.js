@@ -1,6 +1,6 @@
 // The page's own doings: which experiment is open, what its controls say, and what the engine answered.
 // @ts-check
-import { show } from "./charts.js";
+import { motion, play, show } from "./charts.js";
 
 /** @typedef {{name: string, label: string, default: number | string | boolean, low: number, high: number, step: number,
  *   unit: string, choices: string[], live: boolean}} Control */
@@ -26,8 +26,10 @@ const state = {
  * @param {string} path
  * @param {object} body */
 async function ask(path, body) {
+  const began = performance.now();
   const answer = await fetch(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(body) });
   const found = await answer.json();
+  state.milliseconds = performance.now() - began;
   if (!answer.ok) throw new Error(found.error ?? answer.statusText);
   return found;
 }
@@ -57,15 +59,22 @@ async function act(what) {
   }
   state.busy = true;
   const asked = state.open;
-  const began = performance.now();
+  const stage = at("stage");
   try {
-    const found = what === "begin"
+    let found = what === "begin"
       ? await ask("api/runs", { experiment: asked.name, settings: settings() })
       : await ask(`api/runs/${state.run}`, { action: what, settings: settings() });
-    state.milliseconds = performance.now() - began;
-    if (asked === state.open) {
+    while (found.pending && asked === state.open && state.waiting !== "begin") {
+      state.run = found.run;
+      stage.setAttribute("aria-busy", "true");
+      say(found.view.message, false);
+      found = await ask(`api/runs/${found.run}`, { action: "show", settings: settings() });
+    }
+    stage.setAttribute("aria-busy", "false");
+    if (asked === state.open && !found.pending) {
       state.run = found.run;
       render(found.view);
+      if (what !== "show") play(at("charts"), found.view.charts);
     }
   } catch (error) {
     say(error instanceof Error ? error.message : String(error), true);
@@ -260,5 +269,5 @@ async function start() {
 }
 
 // For tests, and for the curious: what the page holds.
-Object.assign(globalThis, { heliographLab: { state, act, settings } });
+Object.assign(globalThis, { heliographLab: { state, act, settings, motion } });
 start().catch((error) => say(`The lab does not answer: ${error.message}`, true));
