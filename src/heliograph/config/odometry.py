@@ -212,7 +212,8 @@ class FilterConfig:
     max_kernel : float
         Widest kernel that an uncertain prediction may open [m].
     correlation : float
-        How many matches count as one independent one: neighbouring points share their plane's error.
+        How many matches count as one independent one: neighbouring points share their plane's error. More do where
+        residuals show that more err alike.
     systematic : float
         Share of the range noise that does not average out within a scan; the map's drift is accounted for with it.
     fallback_stride : int

@@ -196,7 +196,7 @@ class FilterCore(Stateful):
         # A scan that was found again after a silence waits for others to bear it out: it enters no map.
         if self._keeper.empty or (fit is not None and not (sought or self.holds_map)):
             pose = self._calibration.map_pose(posterior, first=self._keeper.empty)
-            matched = self._matcher.matched(points_imu, picked) if seen is not None else None
+            matched = self._matcher.matched(points_imu, picked, posterior, self.map) if seen is not None else None
             converged = fit is None or fit.converged
             posterior = self._motion.loosened(posterior, prior, CLOUD_BENT, converged=converged)
             posterior = self._keeper.extend(points_imu, pose, posterior, seen, matched)  # (9)

@@ -16,6 +16,7 @@ from heliograph.data import NavState
 from heliograph.data.error_layout import GYRO_BIAS, POSITION, ROTATION, VELOCITY
 from heliograph.imu import ErrorGrowth
 from heliograph.maps import LocalMap
+from heliograph.odometry.filter.alike import AlikeErrors
 from heliograph.odometry.filter.bending import SweepBend, sweep_bend
 from heliograph.odometry.filter.calibrating import CalibrationTerms
 from heliograph.odometry.filter.error_state import mounting_error
@@ -119,6 +120,7 @@ def register(
     terms: CalibrationTerms | None = None,
     sweep_noise: Array | None = None,
     sight: SightOfScans | None = None,
+    alike: float = 1.0,
 ) -> FilterUpdate[ScanMeasurement]:
     """Update a predicted state with the points of a scan.
 
@@ -149,6 +151,8 @@ def register(
         Covariance of what noise of the IMU within the sweep feigns of pose, velocity and gyroscope bias.
     sight : SightOfScans, optional
         What the scans before saw.
+    alike : float
+        How many times more the errors of the scans before were than if all their matches were independent.
 
     Returns
     -------
@@ -196,7 +200,7 @@ def register(
         if terms.rate_change is not None:
             measurement = measurement.with_clock(terms.rate_change)
         shared = config.correlation if sums.feigned_square > 0.0 else max(config.correlation, _UNTOLD)
-        measurement = measurement.scaled(1.0 / shared)
+        measurement = measurement.scaled(1.0 / (alike * shared))
         return measurement if sweep_noise is None or not terms.motion else measurement.blurred(sweep_noise)
 
     return iterated_update(
@@ -226,6 +230,7 @@ class ScanMatcher(Stateful):
         "_usual_share": float,
         "_innovations": PART,
         "_sight": PART,
+        "_alike": PART,
     }
 
     def __init__(self, config: RunConfig, *, threads: int) -> None:
@@ -235,15 +240,20 @@ class ScanMatcher(Stateful):
         self._usual_share = 0.0
         self._innovations = InnovationTest()
         self._sight = SightOfScans()
+        self._alike = AlikeErrors(config.filter.typical_range)
 
     @property
     def usual_share(self) -> float:
         """Share of the points that usually match."""
         return self._usual_share
 
-    def matched(self, points_imu: NDArray[np.float32], picked: NDArray[np.int32]) -> MatchedPoints:
-        """Return how the picked ones of a scan's points were matched at last."""
-        return MatchedPoints(points_imu=points_imu[picked], settings=self._final(1.0))
+    def matched(
+        self, points_imu: NDArray[np.float32], picked: NDArray[np.int32], state: NavState, local_map: LocalMap
+    ) -> MatchedPoints:
+        """Return how the picked ones of a scan's points were matched at last, and learn how they err together."""
+        matched = MatchedPoints(points_imu=points_imu[picked], settings=self._final(1.0))
+        self._alike.learn(local_map, matched.points_imu, state, matched.settings)
+        return matched
 
     def _final(self, times: float) -> MatchSettings:
         """Return how matches are made at last, with a kernel wider by a factor."""
@@ -266,7 +276,7 @@ class ScanMatcher(Stateful):
             state,
             local_map,
             self._final(_BENT_SCALES),
-            correlation=self._config.correlation,
+            correlation=self._alike.factor * self._config.correlation,
             forgiven=self._final(1.0).gate,
         )
 
@@ -311,6 +321,7 @@ class ScanMatcher(Stateful):
             terms=terms,
             sweep_noise=sweep_noise,
             sight=self._sight,
+            alike=self._alike.factor,
         )
 
     def _believed(
