@@ -3,7 +3,7 @@
 Noise of single points is independent from match to match, and in simulation nothing else errs within a scan. A sensor
 does more: beams that each measure too short or too long, a sweep bent by a motion that nobody sampled, a map that was
 bent so. What is near then errs alike, over metres. The residuals tell: sums of the score over cubes have the covariance
-that they would have if all matches were independent, or so many times more. That is the sandwich of generalized
+that they would have if all matches were independent, or a multiple of it. That is the sandwich of generalized
 estimating equations (K.-Y. Liang, S. Zeger, "Longitudinal data analysis using generalized linear models", 1986) with
 cubes in place of subjects, and what they call the design effect of clusters.
 """
@@ -54,7 +54,7 @@ class AlikeErrors(Stateful):
 
     @property
     def factor(self) -> float:
-        """So many matches tell as much as one more than where errors are independent; at least 1."""
+        """How many matches tell as much as one where errors are independent; at least 1."""
         return float(np.exp(max(self._log, 0.0)))
 
     def learn(
