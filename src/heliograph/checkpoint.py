@@ -34,6 +34,7 @@ from heliograph.odometry.filter.calibration_gate import CalibrationGate
 from heliograph.odometry.filter.map_window import WindowMark
 from heliograph.odometry.filter.matching import AdaptiveNoise
 from heliograph.odometry.filter.unsteadiness import Unsteadiness
+from heliograph.odometry.filter.wheels import SpeedTrust
 from heliograph.odometry.sequencer import Packet
 from heliograph.output.blind_spans import BlindSpan
 from heliograph.output.raw_files import CHECKPOINT, CHECKPOINT_STATE, remove_checkpoint
@@ -59,7 +60,7 @@ RECORDS: tuple[type, ...] = (
     AdaptiveNoise, BlindSpan, CalibrationGate, Candidate, Event, FeatureNoise, Finding, FixesInForce, GnssFix, ImuBatch,
     ImuClock, ImuNoise, ImuPath, Judgement, LedgerEntry, LineRule, LoopDecision, LoopEvidence, LoopStart, MapCells,
     NavState, Number, OnlineCalibration, Packet, Placement, ResidualDistribution, Rig, Scan, ScanResult, SensorRepair,
-    Sight, StartAccount, Thickness, Trajectory, Unsteadiness, WindowMark,
+    Sight, SpeedTrust, StartAccount, Thickness, Trajectory, Unsteadiness, WindowMark,
 )  # fmt: skip
 """Records that the state of a run consists of; a file that names another is none."""
 

@@ -36,7 +36,7 @@ from heliograph.io.files.poses import is_pose_file, read_poses
 from heliograph.io.files.wheels import read_wheel_speeds
 from heliograph.io.prefetch import prefetch
 from heliograph.io.recording import Recording
-from heliograph.odometry import Odometry, PoseFileOdometry, make_odometry
+from heliograph.odometry import FilterOdometry, Odometry, PoseFileOdometry, make_odometry
 from heliograph.output.sink import Sink
 from heliograph.output.summary import RunSummary
 from heliograph.repair import RepairedSource, find_repairs
@@ -147,6 +147,8 @@ def attempt(
     with back_end(folder, config, sensors, rig, keeper.keyframes, chosen_ns) as slam:
         if speeds is not None:
             slam.observe_speeds(speeds)
+            if isinstance(odometry, FilterOdometry):
+                odometry.observe_speeds(speeds)
         keeper.follow(account, odometry, slam, rig, found)
         if cause:
             account.tally.add_events((Event(code="imu-cause", message=cause, severity="error"),))

@@ -132,9 +132,7 @@ def check_degeneracy(evidence: RunEvidence) -> Finding:
     remedy = "distrust the length along it; walk such a place with the sensor tilted, or come back and close a loop"
     wheels = _held_by_wheels(evidence.graph)
     if wheels:
-        remedy = (
-            "trajectory and map follow the wheels, odometry.tum does not: hold one known length along it against them"
-        )
+        remedy = "trajectory and map follow the wheels: hold one known length along it against them"
     return Finding(
         code=code,
         title=title,
@@ -149,13 +147,13 @@ def check_degeneracy(evidence: RunEvidence) -> Finding:
 def _held_by_wheels(graph: GraphAccount | None) -> str:
     """Return what wheels or legs add where the odometry was blind; "" where most of their steps were left out.
 
-    It takes nothing from the verdict: that is of the odometry, and what of the way the wheels held is not measured.
+    It takes nothing from the verdict: what is said of the odometry has what its wheels held in it already.
     """
     wheels = None if graph is None else graph.wheels
     if wheels is None or not np.isfinite(wheels.scale) or 2 * wheels.slips > wheels.steps:
         return ""
     return (
-        f"; that is the odometry's alone: {wheels.steps - wheels.slips} of {wheels.steps} steps of the graph are held "
+        f"; {wheels.steps - wheels.slips} of {wheels.steps} steps of the graph are held "
         f"by wheels, scale {wheels.scale:.4f} +- {wheels.scale_sigma:.4f}"
     )
 

@@ -2,7 +2,8 @@
 
 Rotation is a right perturbation about body axes, position and velocity are errors in ``odom``, gravity is a direction
 on S(2). A covariance of `NAV_DIM` rows ends there; one of `MOUNTED_DIM` also holds the mounting (rotation about lidar
-axes, right; lever arm along imu axes), one of `FULL_DIM` the IMU's clock as well (offset at the state's stamp, drift).
+axes, right; lever arm along imu axes), one of `FULL_DIM` the IMU's clock as well (offset at the state's stamp, drift),
+one of `WHEELED_DIM` the scale of wheels or legs too.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ __all__ = [
     "POSITION",
     "ROTATION",
     "VELOCITY",
+    "WHEELED_DIM",
+    "WHEEL_SCALE",
 ]
 
 ROTATION = slice(0, 3)
@@ -39,9 +42,10 @@ MOUNTING_ROTATION = slice(17, 20)
 LEVER_ARM = slice(20, 23)
 CLOCK = 23
 DRIFT = 24
+WHEEL_SCALE = 25
 
-POSE_DIM, NAV_DIM, MOUNTED_DIM, FULL_DIM = 6, 17, 23, 25
-"""Rows of a pose, of what inertial propagation moves, of that with the mounting, of that with the clock too."""
+POSE_DIM, NAV_DIM, MOUNTED_DIM, FULL_DIM, WHEELED_DIM = 6, 17, 23, 25, 26
+"""Rows of a pose, of what inertial propagation moves, with the mounting, with the clock, with the wheels too."""
 
 POSE = slice(0, POSE_DIM)
 BIASES = slice(GYRO_BIAS.start, ACCEL_BIAS.stop)

@@ -33,11 +33,13 @@ class NavState:
     covariance : (K, K) float64
         Its rows are those of `heliograph.data.error_layout`. K = 17: rotation (body) 3, position (odom) 3, velocity
         (odom) 3, gyro bias 3, accelerometer bias 3, gravity direction 2. K = 23 adds mounting rotation (lidar) 3 and
-        lever arm (imu) 3, K = 25 also the clock's offset and drift.
+        lever arm (imu) 3, K = 25 also the clock's offset and drift, K = 26 the scale of wheels or legs too.
     imu_offset : float
         What the IMU's clock shows more than the LiDAR's, whose stamps the state bears, at ``stamp_ns`` [s].
     imu_drift : float
         Change of that offset with time [s/s]; 1e-6 is 1 ppm.
+    wheel_scale : float
+        Metres a metre that wheels or legs measure.
     """
 
     stamp_ns: int
@@ -51,6 +53,7 @@ class NavState:
     covariance: NDArray[np.float64]
     imu_offset: float = 0.0
     imu_drift: float = 0.0
+    wheel_scale: float = 1.0
 
     def __post_init__(self) -> None:
         freeze(self)

@@ -11,7 +11,7 @@ from heliograph import _core
 from heliograph.arrays import freeze
 from heliograph.config import ImuConfig
 from heliograph.data import ImuBatch, ImuNoise, NavState
-from heliograph.data.error_layout import CLOCK, DRIFT, NAV
+from heliograph.data.error_layout import CLOCK, DRIFT, FULL_DIM, NAV
 from heliograph.errors import DataError
 from heliograph.imu.clock_shift import clock_shift
 from heliograph.lie import s2
@@ -168,7 +168,8 @@ def predict(state: NavState, imu: ImuBatch, end_ns: int, *, noise: ImuNoise, con
         v_odom=v[-1].copy(),
         imu_offset=state.imu_offset + state.imu_drift * (end_ns - state.stamp_ns) * 1e-9,
     )
-    asked = len(state.covariance) > CLOCK
+    size = len(state.covariance)
+    asked = size == FULL_DIM or (size > FULL_DIM and bool(state.covariance[CLOCK:FULL_DIM].any()))
     growth = ErrorGrowth(
         transition=transition,
         added=added,

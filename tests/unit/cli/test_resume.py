@@ -20,17 +20,22 @@ from heliograph.checkpoint import Checkpoints
 from heliograph.cli.main import main
 from heliograph.sim import SCENARIOS
 from heliograph.sim.scenario import Walk
+from heliograph.sim.wheels import WheelModel
 from heliograph.sim.write import write_recording
 from heliograph.snapshots import read_snapshot
 
-SETTINGS = ("--set", "output.checkpoint_interval=0.5", "--set", "slam.keyframe_distance=0.3", "--threads", "1", "-q")
+SETTINGS = (
+    "--set", "output.checkpoint_interval=0.5", "--set", "slam.keyframe_distance=0.3", "--threads", "1", "-q",
+    "--wheels", "/wheels/odometry",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     """Return a folder with a recording, a run of it, and what a kill would have left at every checkpoint."""
     folder = tmp_path_factory.mktemp("resume")
-    soon = replace(SCENARIOS["room"], walk=Walk(speed=0.8, rest=1.0, ramp=1.0))
+    wheels = WheelModel(rate=50.0, scale=1.02)
+    soon = replace(SCENARIOS["room"], walk=Walk(speed=0.8, rest=1.0, ramp=1.0), wheels=wheels)
     write_recording(folder / "data", soon.thinned(beams=16, columns=96, duration=4.5), seed=1)
     save = Checkpoints.save
 
@@ -74,6 +79,7 @@ def assert_same_run(whole, again, *, resumed=True):
 
 def test_run_that_was_killed_ends_with_the_same_bits(place):
     assert len(cuts(place)) >= 3
+    assert '"code": "wheel-speeds"' in (place / "whole" / "run.json").read_text()
     for cut in (cuts(place)[1], cuts(place)[-1]):
         shutil.copytree(cut, place / "again")
         # What was written after the checkpoint, and torn by the kill.

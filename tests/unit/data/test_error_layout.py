@@ -35,6 +35,7 @@ def test_blocks_follow_one_another_without_gaps():
     assert blocks[0].start == 0
     assert all(a.stop == b.start for a, b in pairwise(blocks))
     assert (blocks[-1].stop, error_layout.FULL_DIM - 1) == (error_layout.CLOCK, error_layout.DRIFT)
+    assert (error_layout.FULL_DIM, error_layout.WHEELED_DIM - 1) == (error_layout.WHEEL_SCALE,) * 2
     assert (blocks[5].stop, blocks[-1].stop) == (error_layout.NAV_DIM, error_layout.MOUNTED_DIM)
     assert slice(blocks[0].start, blocks[1].stop) == error_layout.POSE
     assert slice(blocks[3].start, blocks[4].stop) == error_layout.BIASES

@@ -15,6 +15,7 @@ from heliograph.arrays import Array, freeze
 from heliograph.config import FilterConfig
 from heliograph.data import NavState, OnlineCalibration, Rig
 from heliograph.data.error_layout import (
+    CALIBRATION,
     CLOCK,
     DRIFT,
     FULL_DIM,
@@ -218,9 +219,10 @@ class GatedCalibration(FreeMounting):
 
 def calibration_of(start: NavState, config: FilterConfig) -> FixedCalibration:
     """Return how a filter that begins with ``start`` treats mounting and clock: as the start's covariance has them."""
-    if len(start.covariance) > CLOCK:
+    size = len(start.covariance)
+    if size == FULL_DIM or (size > FULL_DIM and start.covariance[CALIBRATION, CALIBRATION].any()):
         return GatedCalibration(start, config)
-    if len(start.covariance) > NAV_DIM and start.covariance[MOUNTING, MOUNTING].any():
+    if size > NAV_DIM and start.covariance[MOUNTING, MOUNTING].any():
         return FreeMounting(start.T_imu_lidar)
     return FixedCalibration(start.T_imu_lidar)
 

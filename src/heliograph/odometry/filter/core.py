@@ -27,6 +27,7 @@ from heliograph.odometry.filter.motion import MotionModel, corrected_path, rate_
 from heliograph.odometry.filter.relocking import Relocker
 from heliograph.odometry.filter.results import ScanOutcome, Stopwatch, dead_reckoned, scan_result
 from heliograph.odometry.filter.update import FilterUpdate
+from heliograph.odometry.filter.wheels import SpeedTrust, SpeedUpdates
 from heliograph.snapshots import PART, Snapshot, Stateful
 
 __all__ = ["CoreMark", "FilterCore"]
@@ -44,6 +45,7 @@ class CoreMark:
     drift: MapDrift
     calibration: FixedCalibration
     relocker: Relocker
+    speeds: SpeedTrust
 
 
 # A correction smaller than this bends a sweep of 0.1 s by less than a millimetre, so its points need not be moved
@@ -63,6 +65,8 @@ class FilterCore(Stateful):
     config : RunConfig
     local_map : LocalMap or None
         None makes a `VoxelMap`.
+    speeds : SpeedUpdates, optional
+        What wheels or legs measure; the state then has their scale.
     threads : int
         Threads of the native loops; the results do not depend on them.
     """
@@ -75,6 +79,7 @@ class FilterCore(Stateful):
         "_keeper": PART,
         "_matcher": PART,
         "_relocker": PART,
+        "speeds": PART,
         "_history": (ImuPath, None),
         "_count": int,
         "_begins_anew": bool,
@@ -87,6 +92,7 @@ class FilterCore(Stateful):
         config: RunConfig,
         *,
         local_map: LocalMap | None = None,
+        speeds: SpeedUpdates | None = None,
         threads: int = 1,
     ) -> None:
         self.state = start
@@ -101,6 +107,8 @@ class FilterCore(Stateful):
         self._sweep_noise: Array | None = None
         self._count = 0
         self._relocker = Relocker()
+        self.speeds = speeds if speeds is not None else SpeedUpdates(config.wheels)
+        """What wheels or legs say."""
         self._begins_anew = False
         self.blind = np.zeros((POSE_DIM, POSE_DIM))
         """Projection of an error of the pose onto what the last scan did not see of it."""
@@ -141,13 +149,13 @@ class FilterCore(Stateful):
     def mark(self) -> CoreMark:
         """Return what `come_back` needs to return to here, the map apart."""
         kept = copy(self._keeper.drift), copy(self._calibration), copy(self._relocker)
-        return CoreMark(self.state, self._history, self._count, *kept)
+        return CoreMark(self.state, self._history, self._count, *kept, self.speeds.trust)
 
     def come_back(self, mark: CoreMark) -> None:
         """Come back to a mark, on the map as it is."""
         self.state, self._history, self._count = mark.state, mark.history, mark.count
         self._keeper.drift, self._calibration = copy(mark.drift), copy(mark.calibration)
-        self._relocker = copy(mark.relocker)
+        self._relocker, self.speeds.trust = copy(mark.relocker), mark.speeds
 
     def begin_anew(self, mark: CoreMark, imu: ImuBatch, begin_ns: int, end_ns: int) -> None:
         """Come back to a mark and begin a new map with the next scan, whose sweep begins at ``begin_ns``.
@@ -222,14 +230,18 @@ class FilterCore(Stateful):
             path=path,
             timings=watch.laps,
         )
-        return replace(result, calibration=self.calibration)
+        return replace(result, calibration=self.calibration, events=self.speeds.taken_events())
 
     def _predict(self, imu: ImuBatch, end_ns: int) -> tuple[NavState, ImuPath]:
         ahead = self._motion.predict(self.state, imu, end_ns)
         self._calibration.grow(ahead.growth)
         self._keeper.predicted(ahead.growth)
         self._sweep_noise = sweep_noise(ahead.growth) if self._motion.inertial else None
-        return ahead.state, ahead.path
+        told = self.speeds.updated(ahead.state, ahead.path, self._calibration.terms(ahead.path).considered)
+        if told is None:
+            return ahead.state, ahead.path
+        self._keeper.updated(told.retained)
+        return told.state, sweep_path(ahead.path, ahead.state, told.state)
 
     def _match(
         self, prior: NavState, path: ImuPath, scan: Scan, points: NDArray[np.float32], offsets: NDArray[np.int32]
@@ -318,7 +330,8 @@ class FilterCore(Stateful):
         if outcome.fit is not None:
             self._matcher.noise = self.noise.updated(outcome.fit.measurement.sums.rms, self._config.filter)
         self.state, self._history, self._count = outcome.state, outcome.path, self._count + 1
-        return replace(result, calibration=self.calibration, events=(*result.events, *self._relocker.taken_events()))
+        events = (*self._relocker.taken_events(), *self.speeds.taken_events())
+        return replace(result, calibration=self.calibration, events=(*result.events, *events))
 
 
 def _same_sweep(prior: NavState, state: NavState, path: ImuPath) -> bool:

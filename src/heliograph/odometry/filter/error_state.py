@@ -24,6 +24,7 @@ from heliograph.data.error_layout import (
     POSITION,
     ROTATION,
     VELOCITY,
+    WHEEL_SCALE,
 )
 from heliograph.lie import s2, so3
 
@@ -31,7 +32,7 @@ __all__ = ["local", "mounting_error", "reset_jacobian", "retract"]
 
 
 def retract(state: NavState, delta: Array) -> NavState:
-    """Return ``state`` moved by the error vector ``delta`` (17,), (23,) or (25,); covariance and stamp are kept."""
+    """Return ``state`` moved by errors ``delta`` (17,), (23,), (25,) or (26,); covariance and stamp are kept."""
     magnitude = float(np.linalg.norm(state.g_odom))
     g_odom = state.g_odom
     if magnitude > 0.0:
@@ -42,6 +43,7 @@ def retract(state: NavState, delta: Array) -> NavState:
         T_imu_lidar[:3, :3] = T_imu_lidar[:3, :3] @ so3.exp(delta[MOUNTING_ROTATION])
         T_imu_lidar[:3, 3] += delta[LEVER_ARM]
     late, faster = (float(delta[CLOCK]), float(delta[DRIFT])) if len(delta) > CLOCK else (0.0, 0.0)
+    rescaled = float(delta[WHEEL_SCALE]) if len(delta) > WHEEL_SCALE else 0.0
     return replace(
         state,
         R_odom_imu=state.R_odom_imu @ so3.exp(delta[ROTATION]),
@@ -53,6 +55,7 @@ def retract(state: NavState, delta: Array) -> NavState:
         T_imu_lidar=T_imu_lidar,
         imu_offset=state.imu_offset + late,
         imu_drift=state.imu_drift + faster,
+        wheel_scale=state.wheel_scale + rescaled,
     )
 
 
@@ -72,6 +75,8 @@ def local(origin: NavState, state: NavState) -> Array:
     if len(delta) > CLOCK:
         delta[CLOCK] = state.imu_offset - origin.imu_offset
         delta[DRIFT] = state.imu_drift - origin.imu_drift
+    if len(delta) > WHEEL_SCALE:
+        delta[WHEEL_SCALE] = state.wheel_scale - origin.wheel_scale
     return delta
 
 

@@ -19,6 +19,7 @@ from heliograph.data import (
     Scan,
     ScanResult,
     StartAccount,
+    WheelSpeeds,
 )
 from heliograph.data.error_layout import GRAVITY
 from heliograph.errors import DataError
@@ -30,6 +31,7 @@ from heliograph.odometry.filter.core import FilterCore
 from heliograph.odometry.filter.interlude import Interlude
 from heliograph.odometry.filter.motion import MotionModel
 from heliograph.odometry.filter.start import FirstLook, find_start, look
+from heliograph.odometry.filter.wheels import SpeedUpdates, with_wheel_scale
 from heliograph.odometry.sequencer import Packet, Sequencer
 from heliograph.snapshots import PART, Snapshot, require
 
@@ -112,6 +114,7 @@ class FilterOdometry:
         self._rig = uncertain_rig(rig, config.filter)
         self._sensors = sensors & {"lidar", "imu"}
         self._sequencer = Sequencer(self._sensors, patience_ns=round(1e9 * config.imu.patience))
+        self._speeds = SpeedUpdates(config.wheels)
         self._waiting: list[Packet] = []
         self._first: FirstLook | None = None
         self._ended = False
@@ -122,12 +125,17 @@ class FilterOdometry:
         """Take one message and return the results that it made ready."""
         return self._advance(self._sequencer.add(message), ended=False)
 
+    def observe_speeds(self, speeds: WheelSpeeds) -> None:
+        """Take all speeds of wheels or legs, before the recording begins."""
+        self._speeds.observe(speeds)
+
     def finish(self) -> list[ScanResult]:
         """Return the results still waiting."""
         results = [*self._advance(self._sequencer.finish(), ended=True), *self._interlude.ended(self.core, self._step)]
         if not self._ended:
             self._ended = True
             self.events += [*self._doubts(), *self._calibrated()]
+            self.events += self._speeds.conclusion(self.core.state) if self.core is not None else ()
         return results
 
     @property
@@ -234,12 +242,16 @@ class FilterOdometry:
         self.events += start.events
         self.start = start.account
         state = with_calibration(start.state, self._config.filter) if start.motion.inertial else start.state
+        if len(self._speeds) and start.motion.inertial:
+            state = with_wheel_scale(state, self._config.wheels)
         self.motion = start.motion
         self.core = self._make_core(state, start.motion)
         return True
 
     def _make_core(self, state: NavState, motion: MotionModel) -> ScanEstimator:
-        return FilterCore(state, motion, self._config, local_map=self._local_map, threads=self._threads)
+        return FilterCore(
+            state, motion, self._config, local_map=self._local_map, speeds=self._speeds, threads=self._threads
+        )
 
     def _step(self, packet: Packet) -> ScanResult:
         assert self.core is not None

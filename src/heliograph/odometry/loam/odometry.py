@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from heliograph.config import RunConfig
-from heliograph.data import Event, NavState, Rig
+from heliograph.data import Event, NavState, Rig, WheelSpeeds
 from heliograph.errors import ConfigError
 from heliograph.odometry.filter.motion import MotionModel
 from heliograph.odometry.filter.odometry import FilterOdometry
@@ -44,6 +44,9 @@ class LoamOdometry(FilterOdometry):
                 "result with --extrinsic, or use --odometry filter"
             )
             self.events.append(Event(code="mounting-uncertain", message=text))
+
+    def observe_speeds(self, speeds: WheelSpeeds) -> None:
+        """Take nothing: what LOAM estimates has no place for a speed."""
 
     def _make_core(self, state: NavState, motion: MotionModel) -> LoamCore:
         return LoamCore(state, motion, self._config, events=self.events, threads=self._threads)

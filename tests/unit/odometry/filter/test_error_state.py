@@ -8,7 +8,7 @@ from heliograph.odometry.filter.error_state import local, reset_jacobian, retrac
 from heliograph.testing import assert_jacobian
 from states import GRAVITY, random_state
 
-CLOCK_FIELDS = ("imu_offset", "imu_drift")
+OTHER_FIELDS = ("imu_offset", "imu_drift", "wheel_scale")
 
 
 def large_delta(rng, dim):
@@ -20,7 +20,7 @@ def large_delta(rng, dim):
     return delta
 
 
-@pytest.mark.parametrize("dim", [17, 23, 25])
+@pytest.mark.parametrize("dim", [17, 23, 25, 26])
 @pytest.mark.parametrize("seed", range(5))
 def test_local_inverts_retract(seed, dim):
     rng = np.random.default_rng(seed)
@@ -28,11 +28,11 @@ def test_local_inverts_retract(seed, dim):
     moved = retract(state, delta)
     np.testing.assert_allclose(local(state, moved), delta, atol=1e-10)
     back = retract(moved, local(moved, state))
-    for name in ("R_odom_imu", "p_odom", "v_odom", "gyro_bias", "accel_bias", "g_odom", "T_imu_lidar", *CLOCK_FIELDS):
+    for name in ("R_odom_imu", "p_odom", "v_odom", "gyro_bias", "accel_bias", "g_odom", "T_imu_lidar", *OTHER_FIELDS):
         np.testing.assert_allclose(getattr(back, name), getattr(state, name), atol=1e-10, err_msg=name)
 
 
-@pytest.mark.parametrize("dim", [17, 23, 25])
+@pytest.mark.parametrize("dim", [17, 23, 25, 26])
 @pytest.mark.parametrize("seed", range(5))
 def test_reset_jacobian_is_the_derivative_at_large_errors(seed, dim):
     rng = np.random.default_rng(seed)
