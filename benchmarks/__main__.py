@@ -34,6 +34,7 @@ from benchmarks import (
     outages,
     outliers,
     registration,
+    report_page,
     side_by_side,
     sigmas,
     speed,
@@ -53,6 +54,7 @@ _ALL = (
     "speed",
     "live",
     "lab",
+    "report-page",
     "start",
     *_GRAPHS,
     "imu",
@@ -87,6 +89,7 @@ _RUNS = {
     "match-scores": 2,
     "healthy": 20,
     "outages": 5,
+    "report-page": 5,
 }
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
@@ -245,10 +248,13 @@ def _timings(
         _write("live", live.measure_latency(folder, threads=2))
 
 
-def _pages(wanted: Sequence[str]) -> None:
-    """Time what people look at: the lab's answers."""
+def _pages(arguments: argparse.Namespace, wanted: Sequence[str], command: Path) -> None:
+    """Time what people look at: the lab's answers, and the report of a long run in a browser."""
     if "lab" in wanted:
         _write("lab", lab.measure_lab())
+    if "report-page" in wanted:
+        runs = arguments.runs or _RUNS["report-page"]
+        _write("report_page", report_page.measure_report_page(arguments.work, command, runs=runs))
 
 
 def main() -> None:
@@ -267,7 +273,7 @@ def main() -> None:
     if "sharpness" in wanted:
         _write("sharpness", kitti.sharpness(arguments.data, ADAPTERS["heliograph"], arguments.work, bins))
     _timings(arguments, wanted, timed, bins)
-    _pages(wanted)
+    _pages(arguments, wanted, ours / "heliograph")
     if "start" in wanted:
         names, seeds = list(start.START_CASES), arguments.runs or _RUNS["start"]
         _write("start", start.compare_starts(arguments.work, ours / "heliograph", names=names, runs=seeds))

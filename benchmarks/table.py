@@ -29,6 +29,7 @@ from benchmarks.match_scores import scores_section
 from benchmarks.outages import outages_section
 from benchmarks.outliers import outliers_section
 from benchmarks.registration import registration_section
+from benchmarks.report_page import report_page_section
 from benchmarks.side_by_side import side_by_side_section
 from benchmarks.sigmas import sigmas_section
 from benchmarks.speed import busy_section
@@ -52,6 +53,7 @@ _OTHER_SECTIONS = {
     "loam": loam_section,
     "live": live_section,
     "lab": lab_section,
+    "report_page": report_page_section,
     "calibrate": calibration_section,
     "registration": registration_section,
     "global_alignment": global_section,

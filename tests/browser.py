@@ -18,17 +18,21 @@ CHROMIUM = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
 )
 MISSING = "no chromium on this machine; Debian's is `apt install chromium`"
+_WEBGL = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 _FLAGS = [
     "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--remote-debugging-pipe", "--no-first-run",
-    "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking",
+    "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--disable-extensions", "--hide-scrollbars",
 ]  # fmt: skip
 
 
 class Browser:
-    """One page of a headless Chromium; what it asked for and complained about is in `requests` and `complaints`."""
+    """One page of a headless Chromium; what it asked for and complained about is in `requests` and `complaints`.
 
-    def __init__(self, profile, *, width=1400, height=1000, dark=False, still=False, patience=60.0):
+    WebGL is done by the processor; without it the whole page is drawn by it, as where there is no graphics card.
+    """
+
+    def __init__(self, profile, *, width=1400, height=1000, dark=False, still=False, webgl=True, patience=60.0):
         self.requests, self.complaints, self._events = [], [], []
         self._numbers, self._buffer, self._patience = itertools.count(1), b"", patience
         to_browser, self._write = os.pipe()
@@ -40,8 +44,10 @@ class Browser:
             os.dup2(a, 3)
             os.dup2(b, 4)
 
+        drawing = _WEBGL if webgl else ["--disable-gpu"]
+        place = [f"--user-data-dir={profile}", f"--window-size={width},{height}"]
         self._process = subprocess.Popen(
-            [CHROMIUM, *_FLAGS, f"--user-data-dir={profile}", f"--window-size={width},{height}", "about:blank"],
+            [CHROMIUM, *_FLAGS, *drawing, *place, "about:blank"],
             preexec_fn=wire, close_fds=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
         os.close(to_browser)
@@ -59,6 +65,11 @@ class Browser:
                 {"name": "prefers-reduced-motion", "value": "reduce" if still else "no-preference"},
             ],
         )
+
+    @property
+    def pid(self):
+        """Number of the browser's first process; the others are below it."""
+        return self._process.pid
 
     def __enter__(self):
         return self
@@ -143,6 +154,15 @@ class Browser:
         point = [{"x": box[0], "y": box[1]}]
         self.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=point)
         self.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+    def drag(self, x, y, to_x, to_y, *, steps=5):
+        """Press the mouse at a point, move it to another, and let go."""
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+        self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", buttons=1, clickCount=1)
+        for k in range(1, steps + 1):
+            at = {"x": x + (to_x - x) * k / steps, "y": y + (to_y - y) * k / steps}
+            self.call("Input.dispatchMouseEvent", type="mouseMoved", button="left", buttons=1, **at)
+        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=to_x, y=to_y, button="left", clickCount=1)
 
     def screenshot(self, path, *, whole=False, quality=70):
         """Write a WebP picture of what is seen, or of the whole page."""

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 
 import pytest
 from tests.browser import CHROMIUM, MISSING, Browser
@@ -63,6 +64,42 @@ def hovers_with_the_runs_numbers(page, folder):
     assert not page.evaluate("!!document.querySelector('.tip').checkVisibility()")
 
 
+def map_turns(page):
+    """Open the view in three dimensions: points are drawn, a drag and keys move it, the way tells its poses."""
+    view = "document.querySelector('#scene-view')"
+    page.evaluate("document.querySelector('#scene').open = true")
+    seen = [page.wait_for(f"{view}.dataset.eye")]
+    page.evaluate(f"{view}.scrollIntoView({{block: 'center'}})")
+    pixels = f"""(() => {{
+      const c = {view}.querySelector('canvas'), d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+      return d.filter((value, i) => i % 4 === 3 && value > 0).length / (c.width * c.height);
+    }})()"""
+    assert 0.05 < page.evaluate(pixels) < 0.95, "there is a map to be seen, and something around it"
+    left, top, right, bottom = page.evaluate(
+        f"(() => {{const r = {view}.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]}})()"
+    )
+    x, y = 0.5 * (left + right), 0.5 * (top + bottom)
+    page.drag(x, y, x + 60, y + 20)
+    page.evaluate(f"{view}.focus()")
+    for move in (None, "ArrowLeft", "+"):
+        if move:
+            page.press(move)
+        seen.append(page.wait_for(f"{view}.dataset.eye !== '{seen[-1]}' && {view}.dataset.eye"))
+    angles = [[float(value) for value in eye.split()] for eye in seen]
+    assert angles[1][0] == pytest.approx(angles[0][0] - 0.36, abs=0.02), "sixty pixels are 0.36 rad"
+    assert angles[1][1] == pytest.approx(angles[0][1] + 0.12, abs=0.02)
+    assert angles[3][2] < angles[2][2], "plus brings it nearer"
+    told = page.evaluate(f"""(() => {{
+      const canvas = {view}.querySelector('canvas'), box = canvas.getBoundingClientRect();
+      for (let y = 0; y < box.height; y += 10) for (let x = 0; x < box.width; x += 10) {{
+        canvas.dispatchEvent(new PointerEvent('pointermove', {{clientX: box.left + x, clientY: box.top + y}}));
+        const text = {view}.querySelector('p').textContent;
+        if (text) return text;
+      }}
+    }})()""")
+    assert re.fullmatch(r"\d+\.\d s: \((-?\d+\.\d\d(, )?){3}\) m", told), "the way tells its poses"
+
+
 @pytest.mark.parametrize(("width", "dark"), [(1400, False), (390, True)], ids=["wide-light", "phone-dark"])
 def test_report_opens_with_the_runs_numbers_and_asks_for_nothing(made, tmp_path, width, dark):
     facts = json.loads((made / "run.json").read_text())
@@ -84,10 +121,7 @@ def test_report_opens_with_the_runs_numbers_and_asks_for_nothing(made, tmp_path,
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert page.evaluate(OVERLAPS) == []
         hovers_with_the_runs_numbers(page, made)
-        turned = page.evaluate("!!document.querySelector('#scene')")
-        if turned:
-            page.evaluate("document.querySelector('#scene').open = true")
-            page.wait_for("document.querySelector('#scene-view canvas, #scene-view .gl-container')")
+        map_turns(page)
         assert page.complaints == []
         assert [url for url in page.requests if not url.startswith(("file:", "data:", "blob:", "about:"))] == []
 

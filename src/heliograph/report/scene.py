@@ -1,4 +1,4 @@
-"""The map in three dimensions, to be turned: points, path, loops and sigmas, where plotly is installed."""
+"""The map in three dimensions, to be turned: points, path, loops and sigmas."""
 
 from __future__ import annotations
 
@@ -18,17 +18,16 @@ from heliograph.report.raster import extent
 
 __all__ = ["loop_lines", "scene"]
 
-MAX_POINTS = 60_000  # what a phone turns without a pause, and 1 MB in the page
+MAX_POINTS = 100_000  # what a phone turns without a pause, and 1.6 MB in the page
 _MAX_PATH = 4_000
 _ELLIPSES = 12
 _SIGMAS = 3.0
 
 
 def scene(record: RunRecord, ceiling: float | None = None) -> tuple[str, str]:
-    """Return the section with the view and the scripts that end the page; nothing without plotly, or without a map.
+    """Return the section with the view and the scripts that end the page; nothing without a map.
 
-    The library's script is the installed package's own, kept as text in the page and run when the view is opened: a
-    reader who does not open it waits for nothing.
+    It is drawn when it is opened: a reader who does not open it waits for nothing.
 
     Parameters
     ----------
@@ -37,29 +36,20 @@ def scene(record: RunRecord, ceiling: float | None = None) -> tuple[str, str]:
     ceiling : float, optional
         Height above which points hide the way, and are left out [m].
     """
-    library = _library()
-    if library is None or not len(record.points_map) or not len(record.scans):
+    if not len(record.points_map) or not len(record.scans):
         return "", ""
     data = json.dumps(_traces(record, ceiling), separators=(",", ":"), allow_nan=False)
     script = files("heliograph.report").joinpath("scene.js").read_text(encoding="utf-8")
     section = (
         '<section><details id="scene"><summary>The map in three dimensions, to be turned</summary>'
-        '<div id="scene-view" role="img" aria-label="The map in three dimensions"></div>'
-        '<p class="note">Drag to turn, pinch or scroll to zoom; the line is the trajectory, its rings are '
-        f"{_SIGMAS:.0f} sigma of the position, dotted lines are loops.</p></details></section>"
+        '<div id="scene-view" tabindex="0" role="application" aria-label="The map in three dimensions: arrow keys turn '
+        'it, plus and minus zoom, Home begins again"></div>'
+        '<p class="note">Drag or arrow keys turn, pinch, scroll, + and - zoom, Shift and drag move; the line is the '
+        f"trajectory, its rings are {_SIGMAS:.0f} sigma of the position, dashed lines are loops.</p>"
+        "</details></section>"
     )
-    scripts = (
-        f'<script type="application/json" id="scene-data">{data}</script>'
-        f'<script type="text/plain" id="scene-library">{library}</script><script>{script}</script>'
-    )
+    scripts = f'<script type="application/json" id="scene-data">{data}</script><script>{script}</script>'
     return section, scripts
-
-
-def _library() -> str | None:
-    try:
-        return files("plotly").joinpath("package_data").joinpath("plotly.min.js").read_text(encoding="utf-8")
-    except (ImportError, FileNotFoundError):
-        return None
 
 
 def _traces(record: RunRecord, ceiling: float | None) -> dict[str, Any]:
@@ -72,7 +62,7 @@ def _traces(record: RunRecord, ceiling: float | None) -> dict[str, Any]:
     points = record.points_map[near[:: -(-max(len(near), 1) // MAX_POINTS)]]
     return {
         "points": [_packed(column) for column in points.T],
-        "colors": [[i / (len(HEIGHT) - 1), color] for i, color in enumerate(HEIGHT)],
+        "colors": HEIGHT,
         "path": [_packed(column) for column in path[::every].T],
         "seconds": _packed(record.scans.seconds[::every]),
         "rings": [_packed(column) for column in _rings(path, record.scans.triple("sigma_position")).T],
@@ -81,7 +71,7 @@ def _traces(record: RunRecord, ceiling: float | None) -> dict[str, Any]:
 
 
 def _packed(values: NDArray[Any]) -> dict[str, str]:
-    """Return an array as the library takes it: its type and its bytes."""
+    """Return an array as the page takes it: its type and its bytes."""
     return {"dtype": "f4", "bdata": base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()}
 
 
