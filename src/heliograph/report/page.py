@@ -27,7 +27,8 @@ from heliograph.report.tracks import fixes, loop_ledger, turn_rates
 
 __all__ = ["write_report"]
 
-_LAP_SHARE = 0.05  # of the way, the gap between start and end of a lap at most
+_MANY_COLUMNS = 3
+_LAP_SHARE, _LAP_GAP = 0.05, 10.0  # of the way, and [m]: the gap between start and end of a lap at most
 _FACTS = {
     "recording": ("recording", ""), "duration_s": ("it lasts", "s"), "scan_period_s": ("a sweep takes", "s"),
     "points_per_scan": ("points a sweep", ""),
@@ -124,7 +125,7 @@ def header(record: RunRecord) -> str:
 
 
 def _is_lap(summary: RunSummary) -> bool:
-    return summary.start_end_gap < _LAP_SHARE * summary.distance
+    return summary.start_end_gap < min(_LAP_SHARE * summary.distance, _LAP_GAP)
 
 
 def checks(record: RunRecord) -> str:
@@ -244,10 +245,17 @@ def tables(record: RunRecord) -> str:
 
 
 def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
-    """Return a table of escaped text."""
-    top = "".join(f"<th>{escape(cell.replace('_', ' '))}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+    """Return a table of escaped text; one of many columns has them below each other on a phone, with their names."""
+    names = [escape(cell.replace("_", " ")) for cell in head]
+    many = len(names) > _MANY_COLUMNS
+    top = "".join(f"<th>{name}</th>" for name in names)
+    named = [f' data-name="{name}"' if many else "" for name in names]
+    body = "".join(
+        "<tr>" + "".join(f"<td{name}>{escape(cell)}</td>" for name, cell in zip(named, row, strict=True)) + "</tr>"
+        for row in rows
+    )
+    box = "scroll many" if many else "scroll"
+    return f'<div class="{box}"><table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _short(value: object) -> str:

@@ -15,6 +15,7 @@ from heliograph.report.hover import hover_attributes
 
 __all__ = ["Axis", "Line", "Span", "line_chart", "nice_ticks", "number", "polyline", "round_length", "text"]
 
+_MAX_DOTS = 500  # of values that stand alone
 _LEFT, _RIGHT, _TOP, _BOTTOM = 74, 14, 12, 40
 
 
@@ -260,5 +261,10 @@ def _curve(x: NDArray[np.float64], line: Line, x_axis: Axis, y_axis: Axis) -> li
         edge = np.concatenate([across[known], across[known][::-1]])
         parts.append(polyline(edge, np.concatenate([upper[known], lower[known][::-1]]), f'class="band b{line.color}"'))
     thin_x, thin_y = thin(x, line.y, columns)
-    parts.append(polyline(x_axis(thin_x), np.clip(y_axis(thin_y), *clip), f'class="line c{line.color}"'))
+    drawn_x, drawn_y = x_axis(thin_x), np.clip(y_axis(thin_y), *clip)
+    parts.append(polyline(drawn_x, drawn_y, f'class="line c{line.color}"'))
+    # A value between two that are none makes no line.
+    known = np.concatenate([[False], np.isfinite(drawn_y), [False]])
+    for i in np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])[:_MAX_DOTS]:
+        parts.append(f'<circle class="b{line.color}" cx="{drawn_x[i]:.1f}" cy="{drawn_y[i]:.1f}" r="2.5"/>')
     return parts

@@ -24,6 +24,7 @@ __all__ = ["fixes", "loop_ledger", "turn_rates"]
 MAX_PICTURES = 24
 """Loops that are shown with a picture; all are in the table."""
 MAX_ROWS = 200
+_ROWS_SHOWN = 20  # of the ledger, without being asked
 _SIDE = 220  # pixels of a picture
 _MATCH, _QUERY = (110, 130, 150), (240, 160, 60)
 
@@ -86,9 +87,12 @@ def loop_ledger(record: RunRecord) -> str:
     head = "".join(f"<th>{name}</th>" for name in ("number", "keyframes", "verdict", "reason", "overlap", "shift"))
     stand = sum(row["verdict"] == "accepted" for row in rows)
     intro = f"{stand} of {len(rows)} candidates stand. Grey: the place as it was; orange: the later scan, laid on it."
+    table = f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{left}'
+    if len(rows) > _ROWS_SHOWN:
+        table = f"<details><summary>All candidates, one by one</summary>{table}</details>"
     return (
-        f'<section id="loops"><h2>Loops</h2><p class="intro">{intro}</p><div class="pairs">{pictures}</div>'
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{left}</section>'
+        f'<section id="loops"><h2>Loops</h2><p class="intro">{intro}</p><div class="pairs">{pictures}</div>{table}'
+        "</section>"
     )
 
 
@@ -101,7 +105,7 @@ def _cells(row: dict[str, str]) -> Sequence[str]:
 
     overlap = short("overlap_query", "{:.0%}")
     return (row.get("number", ""), f"{row['match']} - {row['query']}", row["verdict"], row.get("reason", ""), overlap,
-            short("shift_level", "{:.2f} m"))  # fmt: skip
+            short("shift_level", "{:.3f} m"))  # fmt: skip
 
 
 def _pair(store: Path, row: dict[str, str]) -> str:

@@ -16,7 +16,7 @@ from heliograph.pipeline import run
 from heliograph.report import write_report
 from heliograph.report.hover import MAX_ROWS, hover_attributes
 from heliograph.report.mapview import MapPictures
-from heliograph.report.page import header, page
+from heliograph.report.page import header, page, table
 from heliograph.report.scene import MAX_POINTS, loop_lines
 from heliograph.report.svg import Line, line_chart, nice_ticks, number, round_length, thin
 from heliograph.report.tracks import fixes, loop_ledger
@@ -162,10 +162,32 @@ def test_each_warning_leads_to_what_it_means_and_what_helps(finished):
     assert 'id="means-repaired-clock"' in html and "means-own" not in html and "<b>own</b>" in html
 
 
-def test_gap_is_told_of_a_lap_only(finished):
-    for gap, told in ((0.2, True), (90.0, False)):
-        summary = replace(finished.record.summary, distance=100.0, start_end_gap=gap)
-        assert ("start-end gap" in header(replace(finished.record, summary=summary))) == told
+@pytest.mark.parametrize(
+    ("distance", "gap", "told"), [(100.0, 0.4, True), (100.0, 40.0, False), (1100.0, 45.0, False), (1100.0, 2.0, True)]
+)
+def test_gap_is_told_of_a_lap_only(finished, distance, gap, told):
+    summary = replace(finished.record.summary, distance=distance, start_end_gap=gap)
+    assert ("start-end gap" in header(replace(finished.record, summary=summary))) is told
+
+
+def test_value_that_stands_alone_is_a_dot():
+    y = np.array([np.nan, 3.0, np.nan, 1.0, 2.0, np.nan])
+    chart = line_chart(np.arange(6.0), [Line(y=y, color=2)], title="t", y_label="y")
+    assert chart.count('<circle class="b2"') == 1
+
+
+def test_table_of_many_columns_names_each_cell_for_a_phone():
+    rows = [("a", "b", "c", "<d>")]
+    assert '<td data-name="value &amp; sum">b</td>' in table(("name", "value_& sum", "x", "y"), rows)
+    assert "data-name" not in table(("name", "value"), [("a", "b")])
+
+
+def test_long_ledger_is_shown_when_it_is_asked_for(finished, tmp_path):
+    record = replace(finished.record, folder=tmp_path)
+    for count, folded in ((5, False), (50, True)):
+        rows = "".join(f"{i},{i},0,rejected\n" for i in range(count))
+        (tmp_path / "loops.csv").write_text(f"number,query,match,verdict\n{rows}")
+        assert ("<details>" in loop_ledger(record)) is folded
 
 
 def test_report_says_how_accurate_it_is_before_the_map(finished):
