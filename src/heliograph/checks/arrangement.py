@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array, freeze
 from heliograph.checks.evidence import Evidence
 from heliograph.checks.fit import EXCLUSION_CHI_SQUARE, TurnFit, cross, fit_turns, nearest_orthogonal, without_mean_rate
-from heliograph.checks.windows import Forces, Turns, lever_arm
+from heliograph.checks.windows import Forces, Turns
 from heliograph.data import Rig
 from heliograph.lie import so3
 
@@ -133,7 +133,7 @@ def accel_arrangement(evidence: Evidence) -> Arrangement | None:
     if R is None:
         return None
     R_lidar_imu = np.einsum("ji,klj->kil", R, ARRANGEMENTS)  # R^T P^T
-    costs = _force_costs(forces, R_lidar_imu, lever_arm(motion) if motion.rig.known else None)
+    costs = _force_costs(forces, R_lidar_imu)
     sigma = max(float(np.sqrt(costs.min() / (3 * len(forces.lidar)))), _FORCE_SIGMA)
     return Arrangement(possible=costs - costs.min() < EXCLUSION_CHI_SQUARE * forces.overlap * sigma**2)
 
@@ -151,15 +151,14 @@ def is_mirrored(gyro: Arrangement | None, accel: Arrangement | None) -> bool:
     return bool(np.array_equal(P_accel, -P_gyro) and np.linalg.det(P_accel) < 0.0)
 
 
-def _force_costs(forces: Forces, R_lidar_imu: Array, p_lidar_imu: Array | None) -> Array:
+def _force_costs(forces: Forces, R_lidar_imu: Array) -> Array:
     """Return, for each (K, 3, 3) candidate, the scatter of specific force less acceleration, (K,).
 
-    Gravity is what fits best, and so is the lever arm where nothing tells it.
+    Gravity is what fits best, and so is the lever arm: a wrong one must not look like wrong axes.
     """
     measured = np.einsum("nabc,kbc->nak", forces.specific, R_lidar_imu)
-    arm = np.zeros(3) if p_lidar_imu is None else p_lidar_imu
-    rest = (measured - forces.imu_acceleration(arm)[..., None]).reshape(-1, len(R_lidar_imu))
-    free = [np.tile(np.eye(3), (len(forces.lidar), 1)), *([forces.R_odom_lidar.reshape(-1, 3)] * (p_lidar_imu is None))]
+    rest = (measured - forces.lidar[..., None]).reshape(-1, len(R_lidar_imu))
+    free = [np.tile(np.eye(3), (len(forces.lidar), 1)), forces.R_odom_lidar.reshape(-1, 3)]
     basis = np.linalg.qr(np.concatenate(free, axis=1))[0]
     return np.asarray(((rest - basis @ (basis.T @ rest)) ** 2).sum(axis=0))
 

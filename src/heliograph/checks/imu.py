@@ -7,6 +7,7 @@ from collections.abc import Callable
 from heliograph.checks.agreement import check_clock_offset, check_prediction
 from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
 from heliograph.checks.evidence import Evidence, gather
+from heliograph.checks.lever import check_lever_arm
 from heliograph.checks.records import CheckedMotion, Finding, ImuRecord
 from heliograph.checks.signals import check_channels, check_saturation, check_vibration
 from heliograph.checks.stamps import (
@@ -31,6 +32,7 @@ IN_RUN_CHECKS: tuple[Callable[[Evidence], Finding], ...] = (
     check_gyro_axes,
     check_accel_axes,
     check_mounting,
+    check_lever_arm,
     check_vibration,
     check_prediction,
 )

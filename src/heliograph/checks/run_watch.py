@@ -24,7 +24,8 @@ _SETTLED_SHARE = 0.2  # of the run, after which a bias should have settled
 _MIN_JUDGED, _EARLY = 40, 600  # scans before which nothing is judged, and after which a run is too far to begin anew
 _DISPUTED_SHARE = 0.3  # of those that found no place, or one that the IMU contradicts
 _MENDABLE = frozenset({
-    "imu-channels", "accel-unit", "gyro-unit", "clock-offset", "gyro-axes", "accel-axes", "mounting", "imu-prediction",
+    "imu-channels", "accel-unit", "gyro-unit", "clock-offset", "gyro-axes", "accel-axes", "mounting", "lever-arm",
+    "imu-prediction",
 })  # fmt: skip
 
 

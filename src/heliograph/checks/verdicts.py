@@ -217,7 +217,7 @@ def check_mounting_and_clock(evidence: RunEvidence) -> Finding:
         return Finding(code=code, title=title, verdict="unknown", evidence=why, picture=picture)
     told = [finding for finding in evidence.inertial if finding.verdict != "unknown"]
     if found.verdict in ("ok", "unknown"):
-        shown = [finding for finding in told if finding.code in ("clock-offset", "gyro-axes", "mounting")]
+        shown = [finding for finding in told if finding.code in ("clock-offset", "gyro-axes", "mounting", "lever-arm")]
         verdict = "ok" if shown else "unknown"
         text = "; ".join(f.evidence for f in shown) or "the motion is too even to tell axes, mounting or clock"
         numbers = tuple(number for finding in shown for number in finding.numbers[:1])

@@ -29,6 +29,8 @@ class CheckConfig:
         Offset of the clocks of IMU and LiDAR above which it warns, fails [s].
     warn_mounting_deg, max_mounting_deg : float
         Error of the mounting above which it warns, fails [deg].
+    warn_lever_arm, max_lever_arm : float
+        Error of the lever arm above which it warns, fails [m].
     max_accel_scale, max_gyro_scale : float
         Relative error of a sensor's scale above which it warns.
     warn_vibration_accel, max_vibration_accel : float
@@ -63,6 +65,8 @@ class CheckConfig:
     max_offset: float = 0.2
     warn_mounting_deg: float = 3.0
     max_mounting_deg: float = 15.0
+    warn_lever_arm: float = 0.15
+    max_lever_arm: float = 0.3
     max_accel_scale: float = 0.05
     max_gyro_scale: float = 0.05
     warn_vibration_accel: float = 2.0
@@ -85,6 +89,7 @@ class CheckConfig:
         check_range(self, "warn_missing", "max_missing", low=0.0, high=1.0)
         check_range(self, "warn_offset", "max_offset", "max_accel_scale", "max_gyro_scale", above=0.0)
         check_range(self, "warn_mounting_deg", "max_mounting_deg", above=0.0, high=180.0)
+        check_range(self, "warn_lever_arm", "max_lever_arm", above=0.0)
         check_range(self, "warn_vibration_accel", "max_vibration_accel", above=0.0)
         check_range(self, "warn_vibration_gyro", "max_vibration_gyro", above=0.0)
         check_range(self, "warn_thickness", "max_thickness", "warn_accel_bias", "max_accel_bias", above=0.0)

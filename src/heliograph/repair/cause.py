@@ -11,6 +11,7 @@ from heliograph.arrays import Array
 from heliograph.checks.arrangement import accel_arrangement, gyro_arrangement, is_mirrored
 from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
 from heliograph.checks.evidence import Evidence, gather
+from heliograph.checks.lever import check_lever_arm
 from heliograph.checks.records import CheckedMotion, ImuRecord
 from heliograph.checks.units import check_accel_unit, check_gyro_unit
 from heliograph.data import Trajectory
@@ -38,7 +39,7 @@ def likely_cause(evidence: Evidence) -> str:
     evidence : Evidence
         From the samples as recorded, against a motion that the LiDAR alone saw.
     """
-    checks = (check_accel_unit, check_gyro_unit, check_gyro_axes, check_accel_axes, check_mounting)
+    checks = (check_accel_unit, check_gyro_unit, check_gyro_axes, check_accel_axes, check_mounting, check_lever_arm)
     findings = [check(evidence) for check in checks]
     told = [_MIRRORED] if is_mirrored(gyro_arrangement(evidence), accel_arrangement(evidence)) else []
     told += [f"{f.evidence} - {f.remedy}" for f in findings if f.verdict == "fail"]

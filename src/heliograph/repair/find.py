@@ -19,6 +19,7 @@ from heliograph.checks.arrangement import ARRANGEMENTS, accel_arrangement, gyro_
 from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
 from heliograph.checks.evidence import GRAVITY, Evidence, gather
 from heliograph.checks.fit import cross, nearest_orthogonal
+from heliograph.checks.lever import check_lever_arm
 from heliograph.checks.records import CheckedMotion, ImuRecord
 from heliograph.checks.signals import check_channels
 from heliograph.checks.units import check_accel_unit, check_gyro_unit
@@ -267,7 +268,7 @@ def _wrong_mounting(evidence: Evidence) -> bool:
     """Whether the mounting as given cannot be: both sensors agree on another one, or it is off by far."""
     if evidence.motion is None or not evidence.motion.rig.known:
         return False
-    if check_mounting(evidence).verdict == "fail":
+    if check_mounting(evidence).verdict == "fail" or check_lever_arm(evidence).verdict == "fail":
         return True
     gyro, accel = gyro_arrangement(evidence), accel_arrangement(evidence)
     if gyro is None or gyro.as_expected or check_gyro_axes(evidence).verdict != "fail":
@@ -276,8 +277,13 @@ def _wrong_mounting(evidence: Evidence) -> bool:
 
 
 def _by_turns(evidence: Evidence) -> Array:
-    """Return the mounting's rotation that the turns show, and no lever arm: a calibration looks only nearby."""
+    """Return the mounting's rotation that the turns show, and no lever arm: a calibration looks only nearby.
+
+    Where the lever arm alone is wrong, what was given is near enough; what the motion does not tell of it stays.
+    """
     T = np.eye(4)
+    if evidence.motion is not None and check_mounting(evidence).verdict == "ok":
+        return np.array(evidence.motion.rig.T_imu_lidar)
     if evidence.turns is not None:
         T[:3, :3] = nearest_orthogonal(cross(evidence.turns)[0], handed=1.0)
     return T
@@ -321,9 +327,10 @@ def _calibrated(found: Calibration, given: Rig, sigma: Array, *, unknown: bool) 
         return SensorRepair(code="clock-refined", sentence=f"the offset was then measured: {offset}", clock=extra)
     T = found.rig.T_imu_lidar
     off = np.degrees(float(np.linalg.norm(so3.log(given.T_imu_lidar[:3, :3].T @ T[:3, :3]))))
+    moved = float(np.linalg.norm(given.T_imu_lidar[:3, 3] - T[:3, 3]))
     sentence = (
-        f"the mounting by {given.source} is off by {off:.1f} deg: gyroscope and LiDAR turn alike only with another "
-        f"one, which was calibrated from {found.duration:.0f} s of motion (rotation +- "
+        f"the mounting by {given.source} is off by {off:.1f} deg and {moved:.2f} m: IMU and LiDAR move alike only with "
+        f"another one, which was calibrated from {found.duration:.0f} s of motion (rotation +- "
         f"{np.degrees(sigma[:3].max()):.2f} deg, lever arm +- {sigma[3:6].max():.3f} m, {offset}); it is used instead, "
         "see run.json"
     )
@@ -345,6 +352,6 @@ def _proven(
         return ()
     rig = next((repair.rig for repair in reversed(repairs) if repair.rig is not None), motion.rig)
     evidence = _evidence(_mended(whole, repairs), replace(motion, rig=rig), config)
-    checks = (check_accel_unit, check_gyro_unit, check_clock_offset, check_gyro_axes, check_accel_axes, check_mounting)
-    verdicts = [check(evidence).verdict for check in (*checks, check_prediction)]
+    checks = (check_accel_unit, check_gyro_unit, check_clock_offset, check_gyro_axes, check_accel_axes)
+    verdicts = [check(evidence).verdict for check in (*checks, check_mounting, check_lever_arm, check_prediction)]
     return () if "fail" in verdicts else tuple(repairs)

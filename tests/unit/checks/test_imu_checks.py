@@ -203,6 +203,26 @@ def test_wrong_mounting_rotation_is_measured(sound, degrees, verdict):
     assert found["gyro-axes"].verdict == found["accel-axes"].verdict == "ok"
 
 
+@pytest.mark.parametrize(
+    ("shift", "verdict"), [((0.5, 0.0, 0.0), "fail"), ((0.0, 0.2, 0.0), "warn"), ((0, 0, -1), "fail")]
+)
+def test_wrong_lever_arm_is_measured_and_nothing_else_is_blamed(sound, shift, verdict):
+    imu, motion = sound
+    T = np.array(motion.rig.T_imu_lidar)
+    T[:3, 3] += shift
+    motion = replace(motion, rig=replace(motion.rig, T_imu_lidar=T))
+    found = findings((imu, motion))
+    assert found["lever-arm"].verdict == verdict
+    assert found["lever-arm"].numbers[0].value == pytest.approx(np.linalg.norm(shift), abs=0.05)
+    assert wrong(found) <= {"lever-arm", "imu-prediction"}
+    assert worst(tuple(found.values())).code == "lever-arm"
+
+
+def test_lever_arm_is_not_told_where_nothing_turns(sound):
+    scenario = SCENARIOS["room"].varied(gait=GAITS["cart"]).thinned(duration=15.0)
+    assert findings(made_records(scenario, seed=1))["lever-arm"].verdict == "unknown"
+
+
 def test_wrong_mounting_that_is_also_off_is_named_alike_by_both_sensors(sound):
     imu, motion = sound
     T = motion.rig.T_imu_lidar.copy()
@@ -393,7 +413,9 @@ def test_findings_without_a_remedy_are_refused():
 
 def test_imu_alone_is_checked_as_far_as_it_can_be(sound):
     found = {finding.code: finding for finding in check_imu(sound[0], None, "the recording holds no LiDAR")}
-    comparing = {"gyro-unit", "gyro-axes", "accel-axes", "mounting", "clock-offset", "imu-prediction"}
+    comparing = {
+        "gyro-unit", "gyro-axes", "accel-axes", "mounting", "lever-arm", "clock-offset", "imu-prediction",
+    }  # fmt: skip
     assert {code for code, finding in found.items() if finding.verdict == "unknown"} == comparing
     assert all("the recording holds no LiDAR" in found[code].evidence for code in comparing)
 

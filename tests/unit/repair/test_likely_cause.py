@@ -77,6 +77,14 @@ def test_wrong_mounting_is_named(sound):
     assert "tf_static is off by" in said and "mount" in said
 
 
+def test_wrong_lever_arm_is_named(sound):
+    imu, motion = sound
+    T = motion.rig.T_imu_lidar.copy()
+    T[:3, 3] += [0.0, 0.0, -1.0]
+    said = cause((imu, replace(motion, rig=replace(motion.rig, T_imu_lidar=T))))
+    assert "is off by 0.9" in said and "lever arm" in said
+
+
 def test_mirrored_cloud_is_named(sound):
     mirror = np.array([1.0, -1.0, 1.0])
     said = cause(sound, lambda imu: replace(imu, gyro=-imu.gyro * mirror, accel=imu.accel * mirror))

@@ -120,6 +120,15 @@ def test_a_calibration_begins_at_the_turns_that_both_saw(sound, turn):
     assert np.degrees(np.arccos(np.clip((np.trace(off) - 1.0) / 2.0, -1.0, 1.0))) < 3.0
 
 
+def test_a_lever_arm_that_cannot_be_is_the_mountings_fault_and_calibrated_from_where_it_was_given(sound):
+    imu, motion = sound
+    T = np.array(motion.rig.T_imu_lidar)
+    T[:3, 3] += [0.5, 0.0, 0.0]
+    off = replace(motion, rig=replace(motion.rig, T_imu_lidar=T))
+    assert sensor_repairs(batch_of(imu), off, RunConfig()) == ([], True)
+    np.testing.assert_array_equal(find._by_turns(find._evidence(batch_of(imu), off, RunConfig())), T)
+
+
 class Live:
     """A source of one batch."""
 
