@@ -5,6 +5,9 @@ after a while on the IMU alone, nothing could refuse it, and it is not used. And
 (the innovation in units of its variance, chi-square of one degree of freedom)? If not, the wheels slip. Before any
 speed is used ten in motion must have agreed; where most of the last forty contradict, they must begin again: a wrong
 sign, another unit, a wheel that is stuck never count.
+
+Wheels that stand are no proof of rest: on a belt, a ferry or ice the body moves with them still. However long they say
+zero, the velocity is known by them to `_CREEP` and no better.
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ _MOVING = 0.3  # speed from which sign and unit show [m/s]
 _EARNED, _FORGIVEN = 10, 1  # tests in motion that must have agreed before a speed counts, and of them that need not
 _REMEMBERED = 40  # tests by which the wheels themselves are doubted where most of them contradict
 _SIDEWAYS_GAIN, _SIDEWAYS_TESTS = 0.05, 40  # of the mean square speed across, and tests before it is believed
+_STANDING, _CREEP = 0.05, 0.02  # measured speed below which wheels stand; what the body may do then, one-sigma [m/s]
 _ITERATIONS = 3
 
 
@@ -172,7 +176,7 @@ class SpeedUpdates(Stateful):
         if not len(axes):
             return None
         self.trust = replace(self.trust, used=self.trust.used + 1)
-        weights = 1.0 / self._variance(window.seconds)[axes]
+        weights = self._weights(window, prior)[axes]
 
         def measure(state: NavState, _: int) -> SpeedMeasurement:
             J, r = window.jacobian(state)[axes], window.residual(state)[axes]
@@ -217,6 +221,15 @@ class SpeedUpdates(Stateful):
         across = np.maximum(self._config.lateral_sigma, 2.0 * np.sqrt(self.trust.sideways))
         sigma = np.where(self._measured, speed, across)
         return np.asarray(sigma**2 * min(_WHITE, seconds) / seconds)
+
+    def _weights(self, window: SpeedWindow, prior: NavState) -> Array:
+        """Return the information (3,) of a speed, vehicle axes; that of standing wheels leaves `_CREEP` open."""
+        weights = 1.0 / self._variance(window.seconds)
+        if float(np.linalg.norm(window.measured)) >= _STANDING:
+            return np.asarray(weights)
+        J = window.jacobian(prior)
+        known = 1.0 / np.maximum(np.einsum("ij,jk,ik->i", J, prior.covariance, J), 1e-12)
+        return np.asarray(np.minimum(weights, np.maximum(_CREEP**-2 - known, 0.0)))
 
     def _judged(self, window: SpeedWindow, prior: NavState) -> NDArray[np.intp]:
         """Return which of the vehicle's axes are to be used, (M,) int, and take in what the others show."""

@@ -40,11 +40,11 @@ def begin(rng, config, speed=SPEED):
     return truth, replace(retract(truth, error), covariance=P)
 
 
-def drive(rng, wheels, *, seconds=8.0, seen=3.0, config=None, begun=None):
+def drive(rng, wheels, *, seconds=8.0, seen=3.0, config=None, begun=None, updates=None):
     """Predictions from scan to scan; until ``seen`` a LiDAR tells the velocity too, afterwards nothing does."""
     config = config or WheelConfig()
     truth, state = begun or begin(rng, config)
-    updates = SpeedUpdates(config)
+    updates = SpeedUpdates(config) if updates is None else updates
     if wheels is not None:
         updates.observe(wheels)
     v = truth.v_odom
@@ -152,3 +152,17 @@ def test_speeds_that_have_been_heard_do_not_count_again(rng):
     assert updates.updated(ahead.state, ahead.path, None) is not None
     assert updates.updated(ahead.state, ahead.path, None) is None
     assert truth.stamp_ns == START_NS
+
+
+def test_wheels_that_stand_prove_no_rest(rng):
+    """A belt carries the body on at 2 cm/s while its wheels stand: what they say for a minute is no certain zero."""
+    config, belt = WheelConfig(), 0.02
+    wheels = speeds(rng, 12.0, noise=0.0, speed=0.0)
+    begun = begin(rng, config, speed=belt)
+    updates = SpeedUpdates(config)
+    updates.trust = replace(updates.trust, believed=True)
+    updates, state = drive(rng, wheels, seconds=12.0, seen=0.0, begun=begun, updates=updates)
+    assert updates.trust.used > 100
+    sigma = np.sqrt(state.covariance[VELOCITY.start, VELOCITY.start])
+    assert abs(state.v_odom[0] - belt) < 2.0 * sigma
+    assert 0.01 < sigma < 0.03
