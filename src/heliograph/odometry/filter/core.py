@@ -237,7 +237,8 @@ class FilterCore(Stateful):
         self._calibration.grow(ahead.growth)
         self._keeper.predicted(ahead.growth)
         self._sweep_noise = sweep_noise(ahead.growth) if self._motion.inertial else None
-        told = self.speeds.updated(ahead.state, ahead.path, self._calibration.terms(ahead.path).considered)
+        considered = self._calibration.terms(ahead.path).considered
+        told = self.speeds.updated(ahead.state, ahead.path, considered, sees=not self.blind.any())
         if told is None:
             return ahead.state, ahead.path
         self._keeper.updated(told.retained)

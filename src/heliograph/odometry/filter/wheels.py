@@ -6,6 +6,10 @@ after a while on the IMU alone, nothing could refuse it, and it is not used. And
 speed is used ten in motion must have agreed; where most of the last forty contradict, they must begin again: a wrong
 sign, another unit, a wheel that is stuck never count.
 
+A slip that grows slowly passes each test, and takes velocity and accelerometer bias with it. What it leaves are
+innovations with a mean: that of two seconds is held against what such means have been. Wheels that fail so count again
+only where the LiDAR sees.
+
 Wheels that stand are no proof of rest: on a belt, a ferry or ice the body moves with them still. However long they say
 zero, the velocity is known by them to `_CREEP` and no better.
 """
@@ -37,6 +41,8 @@ _TELLS = 0.2  # sigma of a predicted speed that can tell a wrong one [m/s]
 _MOVING = 0.3  # speed from which sign and unit show [m/s]
 _EARNED, _FORGIVEN = 10, 1  # tests in motion that must have agreed before a speed counts, and of them that need not
 _REMEMBERED = 40  # tests by which the wheels themselves are doubted where most of them contradict
+_BLOCK, _SETTLING, _LEARNT = 20, 2, 5  # tests of a mean; means left out at first; means before one is judged
+_MEAN_GAIN, _MEAN_SIGMAS, _MEAN_FLOOR = 0.1, 5.0, 0.002  # of the square of means; of a mean that fails; [m/s]
 _SIDEWAYS_GAIN, _SIDEWAYS_TESTS = 0.05, 40  # of the mean square speed across, and tests before it is believed
 _STANDING, _CREEP = 0.05, 0.02  # measured speed below which wheels stand; what the body may do then, one-sigma [m/s]
 _ITERATIONS = 3
@@ -52,6 +58,14 @@ class SpeedTrust:
         Whether the last tests in motion agreed.
     believed : bool
         Whether speeds are used.
+    block : tuple of float
+        Innovations along the way since the last mean [m/s].
+    usual : float
+        Mean square of the means [m^2/s^2].
+    means : int
+        How many there were.
+    barred : bool
+        Whether a mean has failed: speeds count again only where the LiDAR sees.
     slipping : bool
         Whether the last test contradicted.
     tests, slips, used : int
@@ -70,6 +84,10 @@ class SpeedTrust:
 
     recent: tuple[bool, ...] = ()
     believed: bool = False
+    block: tuple[float, ...] = ()
+    usual: float = 0.0
+    means: int = 0
+    barred: bool = False
     slipping: bool = False
     tests: int = 0
     slips: int = 0
@@ -84,20 +102,35 @@ class SpeedTrust:
     def __post_init__(self) -> None:
         freeze(self)
 
-    def tested(self, *, agrees: bool, moving: bool) -> SpeedTrust:
-        """Return the trust after a speed along the way that could be told."""
+    def tested(self, off: float, *, agrees: bool, moving: bool, sees: bool) -> SpeedTrust:
+        """Return the trust after a speed along the way that could be told, and its innovation [m/s]."""
         recent, believed = self.recent, self.believed
         if moving:
             recent = (*recent, agrees)[-_REMEMBERED:]
             last = recent[-_EARNED:]
             if not believed:
                 believed = len(last) == _EARNED and last.count(False) <= _FORGIVEN and agrees
+                believed = believed and (sees or not self.barred)
             elif len(recent) == _REMEMBERED and 2 * recent.count(False) > _REMEMBERED:
                 believed, recent = False, ()
-        return replace(
-            self, recent=recent, believed=believed, slipping=not agrees,
+        after = replace(
+            self, recent=recent, believed=believed, slipping=not agrees, barred=self.barred and not believed,
             tests=self.tests + 1, slips=self.slips + (not agrees),
         )  # fmt: skip
+        return after._averaged(off) if believed and agrees and moving else after
+
+    def _averaged(self, off: float) -> SpeedTrust:
+        """Return the trust after an innovation [m/s] of speeds that count, which must have no mean over two seconds."""
+        block = (*self.block, off)
+        if len(block) < _BLOCK:
+            return replace(self, block=block)
+        mean, judged = float(np.mean(block)), self.means - _SETTLING
+        if judged >= _LEARNT and abs(mean) > _MEAN_SIGMAS * max(math.sqrt(self.usual), _MEAN_FLOOR):
+            return replace(self, block=(), recent=(), believed=False, barred=True)
+        usual = self.usual
+        if judged >= 0:
+            usual += max(_MEAN_GAIN, 1.0 / (judged + 1)) * (mean**2 - usual)
+        return replace(self, block=(), usual=usual, means=self.means + 1)
 
     def across(self, speed: Array) -> SpeedTrust:
         """Return the trust after a speed (3,) of the point that the prediction knows, vehicle axes [m/s]."""
@@ -154,7 +187,7 @@ class SpeedUpdates(Stateful):
         self._sigma = np.asarray(speeds.sigma)
 
     def updated(
-        self, prior: NavState, path: ImuPath, considered: Array | None
+        self, prior: NavState, path: ImuPath, considered: Array | None, *, sees: bool
     ) -> FilterUpdate[SpeedMeasurement] | None:
         """Return a prediction updated with the speeds of its way; None where they are not believed, or say nothing.
 
@@ -165,13 +198,15 @@ class SpeedUpdates(Stateful):
         path : ImuPath
         considered : (K, K) float64 or None
             As in `iterated_update`.
+        sees : bool
+            Whether the scan before saw all directions.
         """
         if not len(self) or len(prior.covariance) != WHEELED_DIM or int(path.stamps_ns[0]) < self.trust.used_ns:
             return None
         window = SpeedWindow.of(self._stamps, self._v, path, prior, self._turn, self._arm)
         if window is None:
             return None
-        axes = self._judged(window, prior)
+        axes = self._judged(window, prior, sees=sees)
         self.trust = replace(self.trust, used_ns=int(path.stamps_ns[-1]))
         if not len(axes):
             return None
@@ -231,7 +266,7 @@ class SpeedUpdates(Stateful):
         known = 1.0 / np.maximum(np.einsum("ij,jk,ik->i", J, prior.covariance, J), 1e-12)
         return np.asarray(np.minimum(weights, np.maximum(_CREEP**-2 - known, 0.0)))
 
-    def _judged(self, window: SpeedWindow, prior: NavState) -> NDArray[np.intp]:
+    def _judged(self, window: SpeedWindow, prior: NavState, *, sees: bool) -> NDArray[np.intp]:
         """Return which of the vehicle's axes are to be used, (M,) int, and take in what the others show."""
         J, r, foreseen = window.jacobian(prior), window.residual(prior), window.foreseen(prior)
         known = J.copy()
@@ -252,7 +287,7 @@ class SpeedUpdates(Stateful):
                 before, way=before.way + abs(said) * window.seconds,
                 foreseen=before.foreseen + sign * float(foreseen[along]) * window.seconds,
             )  # fmt: skip
-        self.trust = self.trust.tested(agrees=bool(agrees[along]), moving=moving)
+        self.trust = self.trust.tested(float(r[along]), agrees=bool(agrees[along]), moving=moving, sees=sees)
         if told.all():
             self.trust = self.trust.across(foreseen)
         self._told(before, prior, r[along])
@@ -272,6 +307,11 @@ class SpeedUpdates(Stateful):
             self._events.append(Event(code="wheel-slip", message=text, stamp_ns=prior.stamp_ns))
         if before.believed and not self.trust.believed:
             text = "wheels: most of the last speeds contradict LiDAR and IMU; none counts until they agree again"
+            if self.trust.barred:
+                text = (
+                    "wheels: their speeds drift away from what LiDAR and IMU foresee, as when slip sets in slowly; "
+                    "none counts until the LiDAR sees all directions"
+                )
             self._events.append(Event(code="wheel-doubt", message=text, stamp_ns=prior.stamp_ns))
 
 

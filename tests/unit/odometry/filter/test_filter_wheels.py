@@ -58,7 +58,7 @@ def drive(rng, wheels, *, seconds=8.0, seen=3.0, config=None, begun=None, update
             accel=np.array([0.0, 0.0, G]) + imu_noise.accel * root * rng.normal(size=(len(stamps), 3)),
         )  # fmt: skip
         ahead = predict(state, imu, end_ns, noise=imu_noise, config=ImuConfig())
-        told = updates.updated(ahead.state, ahead.path, None)
+        told = updates.updated(ahead.state, ahead.path, None, sees=k * STEP_NS < seen * 1e9)
         state = ahead.state if told is None else told.state
         if k * STEP_NS < seen * 1e9:
             state = lidar(rng, state, v, np.array([1e-9 * (end_ns - START_NS) * v[0], 0.0, 0.0]))
@@ -149,8 +149,8 @@ def test_speeds_that_have_been_heard_do_not_count_again(rng):
         accel=np.tile([0.0, 0.0, G], (11, 1)), received_ns=START_NS,
     )  # fmt: skip
     ahead = predict(begin(rng, config)[1], imu, START_NS + STEP_NS, noise=NOISE, config=ImuConfig())
-    assert updates.updated(ahead.state, ahead.path, None) is not None
-    assert updates.updated(ahead.state, ahead.path, None) is None
+    assert updates.updated(ahead.state, ahead.path, None, sees=True) is not None
+    assert updates.updated(ahead.state, ahead.path, None, sees=True) is None
     assert truth.stamp_ns == START_NS
 
 
@@ -168,3 +168,16 @@ def test_wheels_that_stand_prove_no_rest(rng):
     sigma = np.sqrt(state.covariance[VELOCITY.start, VELOCITY.start])
     assert abs(state.v_odom[0] - belt) < 2.0 * sigma
     assert 0.01 < sigma < 0.03
+
+
+def test_slip_that_sets_in_slowly_is_told_by_the_mean_of_its_innovations(rng):
+    """Each speed passes its own test; what the wheels feign is found before it has carried the velocity far."""
+    sure = replace(NOISE, accel=5e-3, accel_walk=1e-4, gyro=1e-4, gyro_walk=1e-6)
+    wheels = speeds(rng, 30.0, noise=0.01)
+    v, later = wheels.v_body.copy(), 1e-9 * (wheels.stamps_ns - START_NS) - 20.0
+    v[:, 0] *= 1.0 + 0.02 * np.maximum(later, 0.0)
+    updates, state = drive(rng, replace(wheels, v_body=v), seconds=30.0, seen=18.0, imu_noise=sure)
+    told = [event for event in updates.taken_events() if event.code == "wheel-doubt"]
+    assert "drift away" in told[0].message
+    assert updates.trust.barred
+    assert abs(state.v_odom[0] - SPEED) < 0.15  # the wheels have come to 0.4
