@@ -40,6 +40,7 @@ from benchmarks import (
     speed,
     start,
     table,
+    wheels,
 )
 from benchmarks.rivals import ADAPTERS, Adapter
 
@@ -71,6 +72,7 @@ _ALL = (
     "match-scores",
     "healthy",
     "outages",
+    "wheels",
 )
 _NEEDS_DATA = ("kitti", "sharpness", "graph", "graph-incremental", "imu-gnss", "lio", "localization")
 _RUNS = {
@@ -90,6 +92,7 @@ _RUNS = {
     "healthy": 20,
     "outages": 5,
     "report-page": 5,
+    "wheels": 8,
 }
 _TIMED = ("heliograph", "rko-lio")  # LiDAR alone loses its way on a walk, and then takes minutes
 
@@ -228,6 +231,9 @@ def _healthy(arguments: argparse.Namespace, wanted: Sequence[str]) -> None:
     if "outages" in wanted:
         first = arguments.first or 200
         _write("outages", outages.measure_outages(range(first, first + (arguments.runs or _RUNS["outages"]))))
+    if "wheels" in wanted:
+        first = arguments.first or 201
+        _write("wheels", wheels.measure_wheels(range(first, first + (arguments.runs or _RUNS["wheels"]))))
 
 
 def _timings(
