@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -12,7 +13,15 @@ from pathlib import Path
 
 from heliograph.errors import OutputError
 
-__all__ = ["atomic_folder", "atomic_path", "check_output_directory", "output_error", "output_errors", "write_text"]
+__all__ = [
+    "atomic_folder",
+    "atomic_path",
+    "check_output_directory",
+    "output_error",
+    "output_errors",
+    "remove_partials",
+    "write_text",
+]
 
 _REMEDIES = {
     errno.ENOSPC: "the disk is full; free some space or choose another folder with -o",
@@ -26,6 +35,9 @@ _REMEDIES = {
     errno.ENAMETOOLONG: "the name is too long for the file system; choose a shorter one with -o",
 }
 
+_FOLDER_PARTIAL = re.compile(r"(?<=[/\\])\.\w{8}\.partial[/\\]")
+_FILE_PARTIAL = re.compile(r"(?<=[/\\])\.([^/\\]+)\.\w{8}\.partial(\.\w+)?$")
+"""What temporary siblings are called; messages name the file that the user knows."""
 RUN_MARKER = "run.json"
 LOCK = ".heliograph.lock"
 """Stands in a folder while a run writes it; what a killed run left behind locks nothing."""
@@ -41,6 +53,7 @@ def output_error(path: Path | str, error: OSError) -> OutputError:
     error : OSError
         What the operating system said.
     """
+    path = _FOLDER_PARTIAL.sub("", _FILE_PARTIAL.sub(r"\1\2", str(path)))
     reason = _REMEDIES.get(error.errno or 0, f"{error.strerror or error}; choose another folder with -o")
     return OutputError(f"cannot write {path}: {reason}")
 
@@ -112,6 +125,15 @@ def atomic_folder(path: Path | str) -> Iterator[Path]:
                 file.replace(path / file.name)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def remove_partials(folder: Path | str) -> None:
+    """Remove temporary siblings that killed processes left in a folder; whoever calls it holds the folder alone."""
+    for path in Path(folder).glob(".*"):
+        if path.is_dir() and not path.is_symlink() and _FOLDER_PARTIAL.search(f"/{path.name}/"):
+            shutil.rmtree(path, ignore_errors=True)
+        elif _FILE_PARTIAL.search(f"/{path.name}"):
+            path.unlink(missing_ok=True)
 
 
 def _adopt_default_mode(path: Path) -> None:

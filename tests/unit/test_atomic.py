@@ -2,12 +2,20 @@
 
 import errno
 import os
+import re
 import stat
 from pathlib import Path
 
 import pytest
 
-from heliograph.atomic import atomic_path, check_output_directory, output_error, write_text
+from heliograph.atomic import (
+    atomic_folder,
+    atomic_path,
+    check_output_directory,
+    output_error,
+    remove_partials,
+    write_text,
+)
 from heliograph.errors import OutputError
 
 
@@ -99,3 +107,24 @@ def test_output_directory_that_cannot_be_written_is_an_output_error():
         check_output_directory("/proc/heliograph")
     with pytest.raises(OutputError, match="choose another folder with -o"):
         check_output_directory("/proc/self", overwrite=True)
+
+
+def test_messages_name_the_file_and_not_its_temporary_sibling(tmp_path):
+    def inner():
+        with atomic_folder(tmp_path) as folder, atomic_path(folder / "scans.csv"):
+            raise OSError(errno.ENOSPC, "full")
+
+    with pytest.raises(OutputError, match=re.escape(f"cannot write {tmp_path / 'scans.csv'}: the disk is full")):
+        inner()
+
+
+def test_what_a_killed_process_left_of_files_goes_and_nothing_else(tmp_path):
+    with atomic_path(tmp_path / "a.b.csv") as temporary, atomic_folder(tmp_path) as folder:
+        kept = {tmp_path / ".partial", tmp_path / ".mine.partial", tmp_path / "x.12345678.partial.csv"}
+        for path in kept:
+            path.touch()
+        remove_partials(tmp_path)
+        assert not temporary.exists() and not folder.exists()
+        temporary.touch()
+        folder.mkdir()
+    assert {tmp_path / "a.b.csv", *kept} == set(tmp_path.iterdir())

@@ -15,8 +15,10 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 _CTRL_C = 130
 
 
-class EndedError(KeyboardInterrupt):
+class EndedError(BaseException):
     """The process is to end: what is open is released on the way out.
+
+    It is no `KeyboardInterrupt`: typer takes that for Ctrl-C whatever it is, and the signal's exit code would be lost.
 
     Parameters
     ----------

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +13,7 @@ from heliograph.cli import options
 from heliograph.cli.activity import stage
 from heliograph.cli.closing import print_closing
 from heliograph.cli.names import default_folder, title, unused
+from heliograph.guard.scratch import ScratchFolder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -110,7 +110,8 @@ def localize(
             name=name, config=dump_config(resolved), facts=facts, overwrite=overwrite,
         )  # fmt: skip
         bar = [] if quiet else [ProgressSink(recording.total_scans, name)]
-        keyframes = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="heliograph_"))) if extend else None
+        scratch = stack.enter_context(closing(ScratchFolder())) if extend else None
+        keyframes = scratch.path if scratch else None
         pipeline.run(recording, resolved, sinks=[*bar, folder], stop=stop, folder=keyframes)
         print_closing(folder.facts, folder.path, json=json, quiet=quiet, lines=localized_lines)
         if extend is not None and keyframes is not None:

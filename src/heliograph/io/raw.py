@@ -48,6 +48,11 @@ class RawCloud:
     def __post_init__(self) -> None:
         freeze(self)
 
+    @property
+    def points(self) -> int | None:
+        """How many there are; None where a coordinate is missing, for a message may have other fields than the last."""
+        return self.columns["x"].size if all(axis in self.columns for axis in "xyz") else None
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RawImu:

@@ -335,7 +335,8 @@ class Recording:
                 self._accept_imu(message)
             elif isinstance(message, RawCloud):
                 if self._accept_cloud(message):
-                    self.tally.points += message.columns["x"].size
+                    self.tally.points += message.points or 0
+                    self.tally.lidar.bad += message.points is None
             elif isinstance(message, RawFix) and self.tally.gnss.accept(message.stamp_ns, message.received_ns):
                 self.tally.valid_fixes += message.valid
         return self.tally

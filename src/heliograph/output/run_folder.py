@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from heliograph.atomic import check_output_directory, write_text
+from heliograph.atomic import check_output_directory, remove_partials, write_text
 from heliograph.config import OutputConfig
 from heliograph.data import ImuBatch, Message, OnlineCalibration, ScanResult
 from heliograph.errors import DataError, OutputError
@@ -208,6 +208,7 @@ class RunFolder(Sink):
         self._log.restore(snapshot["log"])
         self._count, self._calibration = snapshot["count"], snapshot["calibration"]
         self.writer_seconds = snapshot["writer_seconds"]
+        self._remove_partials()
         for name in _MADE_AT_THE_END:
             (self.path / name).unlink(missing_ok=True)
         self._say_running()
@@ -364,6 +365,7 @@ class RunFolder(Sink):
             self._map.release(keep=True)
 
     def _clear(self) -> None:
+        self._remove_partials()
         for name in _OWN:
             (self.path / name).unlink(missing_ok=True)
         remove_checkpoint(self.path)
@@ -371,6 +373,10 @@ class RunFolder(Sink):
         keyframes = self.path / _KEYFRAMES
         if (keyframes / "journal.jsonl").is_file():
             shutil.rmtree(keyframes, ignore_errors=True)
+
+    def _remove_partials(self) -> None:
+        for folder in (self.path, self.path / _KEYFRAMES):
+            remove_partials(folder)
 
     def _remove(self) -> None:
         self._clear()

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from heliograph.arrays import Array
 from heliograph.atomic import atomic_path, write_text
 from heliograph.errors import DataError, MissingDependencyError
+from heliograph.io.files.las import las_writer
 from heliograph.survey.coordinates import CoordinateSystem
 
 __all__ = ["adjusted_gps_time", "gps_seconds", "write_survey_las", "write_survey_tiles"]
@@ -84,7 +85,7 @@ def write_survey_las(
     if system.crs is not None:
         header.add_crs(system.crs)
     sixteen = _sixteen_bits(intensity, len(p))
-    with atomic_path(path) as temporary, laspy.open(str(temporary), mode="w", header=header) as writer:
+    with atomic_path(path) as temporary, las_writer(temporary, header) as writer:
         for first in range(0, len(p), _BLOCK):
             part = slice(first, first + _BLOCK)
             record = laspy.ScaleAwarePointRecord.zeros(len(p[part]), header=header)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import socket
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from heliograph.atomic import output_error
 from heliograph.errors import MissingDependencyError, OutputError
 from heliograph.lie import so3
 
@@ -30,6 +33,7 @@ FAR = 0.10
 PORT = 9876
 """First port that a window listens on."""
 _PORTS_TRIED, _PATIENCE = 20, 20.0  # [s]
+_LITTLE = 1 << 20  # bytes: Rerun's own thread, which writes the file, says no more than that it failed
 _EXTRA = "the viewer needs rerun-sdk; install it with `pip install 'heliograph[view]'`"
 
 
@@ -69,6 +73,7 @@ class Screen:
         except ImportError:
             raise MissingDependencyError(_EXTRA) from None
         self.port: int | None = None
+        self._file = file
         self._rr: Any = rerun
         self._stream = rerun.RecordingStream("heliograph", send_properties=False)
         sinks: list[Any] = []
@@ -185,6 +190,8 @@ class Screen:
         try:
             self._stream.flush(timeout_sec=_PATIENCE)
         except (RuntimeError, ValueError) as error:
+            if self._file is not None and shutil.disk_usage(self._file.parent).free < _LITTLE:
+                raise output_error(self._file, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))) from error
             raise OutputError(
                 "the viewer's window is gone: not all was shown; `heliograph view RUN` shows it"
             ) from error

@@ -5,6 +5,7 @@ import signal
 import pytest
 
 from heliograph.cli.interrupt import EndedError, ends_in_order, interruptible
+from heliograph.cli.main import main
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
@@ -32,6 +33,14 @@ def test_signal_that_was_ignored_stays_ignored(number):
             assert not asked()
     finally:
         signal.signal(number, before)
+
+
+@pytest.mark.parametrize("number", SIGNALS[1:])
+def test_command_that_a_signal_ends_says_so_and_has_its_exit_code(number, monkeypatch, capsys):
+    """Typer takes every `KeyboardInterrupt` for Ctrl-C, whose exit code is another."""
+    monkeypatch.setattr("heliograph.sim.find_scenario", lambda _: signal.raise_signal(number))
+    assert main(["simulate", "room"]) == 128 + number
+    assert capsys.readouterr().err.strip() == f"error: ended by {signal.Signals(number).name}"
 
 
 @pytest.mark.parametrize("number", SIGNALS[1:])

@@ -111,6 +111,7 @@ SPARED = {
     ("io/files/cloud_points.py", "laspy.open"),
     ("io/files/pcd.py", "np.fromfile"),
     ("io/files/cloud_stream.py", "self._laspy.open"),
+    ("io/files/las.py", "laspy.open"),
     ("io/files/ply.py", "np.fromfile"),
     ("survey/las.py", "laspy.open"),
 }

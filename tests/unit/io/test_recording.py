@@ -310,6 +310,23 @@ def test_report_gives_inferences_with_evidence_as_plain_values(tmp_path):
     assert report.frames == ("base", "imu", "lidar")
 
 
+def test_cloud_without_a_coordinate_is_counted_as_unusable_by_both_ways_to_read(tmp_path):
+    """Fields may change in mid-recording, behind what the first messages told."""
+    renamed = {"names": ["c", *VELODYNE.names[1:]], "formats": [VELODYNE[k] for k in range(len(VELODYNE))]}
+    offsets = [VELODYNE.fields[name][1] for name in VELODYNE.names]
+    bag = drive(60)
+    at = [k for k, message in enumerate(bag.messages) if message[0] == "/points"][50]
+    points = sweep(VELODYNE).view(np.dtype({**renamed, "offsets": offsets, "itemsize": VELODYNE.itemsize}))
+    (other,) = Bag().cloud(points, T0 + 50 * PERIOD).messages
+    bag.messages[at] = other
+    with open_recording(bag.mcap(tmp_path / "a.mcap")) as recording:
+        report = inspect_recording(recording)
+        assert (report.streams[0].count, report.streams[0].unusable) == (60, 1)
+        assert report.points_per_scan == pytest.approx(59 * 400 / 60)
+        assert len(scans(recording.stream())) == 59
+        assert recording.tally.lidar.bad == 1
+
+
 def test_prefetch_keeps_order_and_ends():
     assert list(prefetch(iter(range(50)), depth=3)) == list(range(50))
 

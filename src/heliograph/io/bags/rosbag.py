@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,6 +19,7 @@ from heliograph.errors import DataError, FormatError
 from heliograph.guard.boundary import DAMAGE, reason
 from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.guard.limits import ReadLimits
+from heliograph.guard.scratch import ScratchFolder
 from heliograph.io.bags.bag1 import Bag1Storage
 from heliograph.io.bags.mcap import McapStorage
 from heliograph.io.bags.messages import DECODERS, KINDS
@@ -173,7 +173,7 @@ class RosbagSource:
         self.description = description
         self.events = events
         self._limits = limits
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._folder: ScratchFolder | None = None
         self._files = tuple(part.path for part in parts)
         self._parts: list[_OpenPart] = []
         try:
@@ -217,8 +217,8 @@ class RosbagSource:
     def _open_unpacked(self, path: Path) -> Storage:
         """Open a temporary copy of a zstd-compressed file, for readers seek; what is said names the file itself."""
         if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="heliograph-")
-        target = Path(self._folder.name) / f"{len(self._parts)}-{path.stem}"
+            self._folder = ScratchFolder()
+        target = self._folder.path / f"{len(self._parts)}-{path.stem}"
         try:
             damage = unpack_file(path, target, self._limits)
         except ValueError as error:
@@ -320,7 +320,7 @@ class RosbagSource:
             part.storage.close()
         self._parts = []
         if self._folder is not None:
-            self._folder.cleanup()
+            self._folder.close()
             self._folder = None
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from heliograph.errors import FormatError
 from heliograph.guard.files import plain_file
 from heliograph.guard.limits import ReadLimits
+from heliograph.guard.scratch import ScratchFolder
 
 __all__ = ["PaddedCopy"]
 
@@ -41,10 +42,10 @@ class PaddedCopy:
     """
 
     def __init__(self, path: Path, limits: ReadLimits) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="heliograph-")
-        self.path = Path(self._folder.name) / "padded.db3"
+        self._folder = ScratchFolder()
+        self.path = self._folder.path / "padded.db3"
         try:
-            size, room = path.stat().st_size, shutil.disk_usage(self._folder.name).free - limits.reserve
+            size, room = path.stat().st_size, shutil.disk_usage(self._folder.path).free - limits.reserve
             if size > room:
                 raise FormatError(
                     path,
@@ -59,7 +60,7 @@ class PaddedCopy:
 
     def close(self) -> None:
         """Remove the copy."""
-        self._folder.cleanup()
+        self._folder.close()
 
 
 def _pad(path: Path) -> None:

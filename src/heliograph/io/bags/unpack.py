@@ -24,7 +24,7 @@ __all__ = ["ZSTD_MAGIC", "UnpackTally", "unpack", "unpack_file"]
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _PIECE = 1 << 20  # bytes that are unpacked at once
 _DAMAGE = (zstd.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError)
-_HEAD = 18  # bytes of a zstd frame's header at max_bytes
+_HEAD = 18  # bytes of a zstd frame's header at most
 
 
 class UnpackTally:

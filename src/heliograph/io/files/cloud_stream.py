@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.errors import DataError
-from heliograph.io.files.las import extra_columns, las_header, load_laspy, sixteen_bits
+from heliograph.io.files.las import extra_columns, las_header, las_writer, load_laspy, sixteen_bits
 from heliograph.io.files.pcd import pcd_header
 from heliograph.io.files.ply import ply_header
 from heliograph.io.files.records import write_records
@@ -84,7 +86,8 @@ class LasStream:
     ) -> None:
         self._laspy, self._types, self._brightest = load_laspy(path.suffix), types, brightest
         self._header = las_header(self._laspy, types, comments)
-        self._writer = self._laspy.open(str(path), mode="w", header=self._header)
+        self._open = ExitStack()
+        self._writer: Any = self._open.enter_context(las_writer(path, self._header))
 
     def append(self, table: Table) -> None:
         """Write a block."""
@@ -97,10 +100,12 @@ class LasStream:
             record.intensity = sixteen_bits(table["intensity"], self._brightest)
         for name in extra_columns(self._types):
             record[name] = table[name]
-        self._writer.write_points(record)
+        try:
+            self._writer.write_points(record)
+        except BaseException:
+            self._open.__exit__(*sys.exc_info())  # which tells why, where the disk is full
+            raise
 
     def close(self) -> None:
         """Complete the header."""
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+        self._open.close()

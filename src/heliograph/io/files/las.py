@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from heliograph.errors import DataError, MissingDependencyError
 
-__all__ = ["extra_columns", "las_header", "load_laspy", "sixteen_bits", "write_las"]
+__all__ = ["extra_columns", "las_header", "las_writer", "load_laspy", "sixteen_bits", "write_las"]
 
 _SCALE = 1e-3
 _INSTALL = "pip install 'heliograph[las]'"
@@ -48,7 +50,56 @@ def write_las(path: Path, table: Mapping[str, NDArray[np.generic]], comments: Se
         las.intensity = sixteen_bits(table["intensity"], float(np.nanmax(table["intensity"], initial=0.0)))
     for name in extra_columns(types):
         las[name] = table[name]
-    las.write(str(path))
+    with las_writer(path, header) as writer:
+        writer.write_points(las.points)
+
+
+@contextmanager
+def las_writer(path: Path, header: Any) -> Iterator[Any]:  # noqa: ANN401 - laspy's
+    """Yield laspy's writer of a LAS or LAZ file, whose header is complete when the block ends.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written. The compressor, which is not Python's, tells no more of it than that it failed.
+    """
+    laspy, packed = load_laspy(path.suffix), path.suffix.lower() == ".laz"
+    with _HeardFile(path) as file:
+        try:
+            with laspy.open(file, mode="w", header=header, do_compress=packed, closefd=False) as writer:
+                yield writer
+        except Exception as error:
+            if file.failure is not None:
+                raise file.failure from error
+            raise
+
+
+class _HeardFile(io.BufferedRandom):
+    """A file that remembers why it could not be written."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path, "w+"))
+        self.failure: OSError | None = None
+
+    def write(self, data: Any) -> int:  # noqa: ANN401 - a buffer
+        with self._heard():
+            return super().write(data)
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        with self._heard():
+            return super().seek(offset, whence)
+
+    def flush(self) -> None:
+        with self._heard():
+            super().flush()
+
+    @contextmanager
+    def _heard(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            self.failure = error
+            raise
 
 
 def las_header(laspy: Any, types: Mapping[str, np.dtype[np.generic]], comments: Sequence[str]) -> Any:  # noqa: ANN401

@@ -186,7 +186,7 @@ def interpret(source: RawSource, config: InputConfig, sensors: str = "auto") -> 
         imu_period_ns=imu_period_ns,
         has_orientation=any(sample.has_orientation for sample in samples),
         start_ns=probe.start_ns or 0,
-        points_per_scan=int(np.median([c.columns["x"].size for c in clouds if "x" in c.columns] or [0])),
+        points_per_scan=int(np.median([c.points for c in clouds if c.points is not None] or [0])),
         fields=tuple(clouds[0].columns) if clouds else (),
         inferences=(*(note for note in notes if isinstance(note, Inference)), *mounting.inferences),
         events=(*(note for note in notes if isinstance(note, Event)), *mounting.events),
@@ -309,7 +309,7 @@ def _choose_lidar(lidars: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[
 
 
 def _cloud_size(clouds: list[RawCloud]) -> float:
-    return float(np.median([c.columns["x"].size if "x" in c.columns else 0 for c in clouds])) if clouds else 0.0
+    return float(np.median([c.points or 0 for c in clouds])) if clouds else 0.0
 
 
 def _choose_imu(imus: list[TopicInfo], probe: _Probe, wanted: str) -> tuple[str | None, list[Note]]:
