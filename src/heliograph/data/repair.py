@@ -32,6 +32,8 @@ class SensorRepair:
         The mounting to use instead of the recording's.
     without_imu : bool
         Whether the inertial samples are left out altogether.
+    times_reversed : bool
+        Whether the times of a scan's points are counted from the sweep's other end.
     """
 
     code: str
@@ -41,6 +43,7 @@ class SensorRepair:
     clock: ImuClock = field(default_factory=ImuClock)
     rig: Rig | None = None
     without_imu: bool = False
+    times_reversed: bool = False
 
     def __post_init__(self) -> None:
         freeze(self)

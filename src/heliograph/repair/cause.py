@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from heliograph.arrays import Array
+from heliograph.checks.agreement import check_clock_offset
 from heliograph.checks.arrangement import accel_arrangement, gyro_arrangement, is_mirrored
 from heliograph.checks.axes import check_accel_axes, check_gyro_axes, check_mounting
 from heliograph.checks.evidence import Evidence, gather
@@ -45,6 +46,8 @@ def likely_cause(evidence: Evidence) -> str:
     told += [f"{f.evidence} - {f.remedy}" for f in findings if f.verdict == "fail"]
     told += [sentence] if (sentence := clock_step(evidence) or _clock_drift(evidence)) else []
     told += [f"{f.evidence} - {f.remedy}" for f in findings if f.verdict == "warn" and f.code == "gyro-unit"]
+    late = check_clock_offset(evidence)
+    told += [f"{late.evidence} - {late.remedy}"] if late.verdict in ("warn", "fail") else []
     return f"the IMU contradicts the LiDAR: {told[0]}" if told else ""
 
 

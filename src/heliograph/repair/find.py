@@ -29,6 +29,7 @@ from heliograph.errors import HeliographError
 from heliograph.examination import lidar_motion
 from heliograph.lie import so3
 from heliograph.repair.cause import clock_step, likely_cause
+from heliograph.repair.point_times import reversed_point_times
 from heliograph.repair.source import RepairedSource
 
 __all__ = ["find_repairs", "sensor_repairs"]
@@ -62,7 +63,7 @@ def find_repairs(
     Parameters
     ----------
     source : Source
-        Repeatable; its first part is read twice or three times.
+        Repeatable; its first part is read up to five times.
     config : RunConfig
     threads : int
     sure : bool
@@ -85,7 +86,12 @@ def find_repairs(
     if not sure and (step := clock_step(evidence)):  # one offset would be wrong on either side of it
         return (), f"the IMU contradicts the LiDAR: {step}"
     repairs = _found(source, whole, motion, config, threads=threads, sure=sure)
-    return repairs, "" if repairs else likely_cause(evidence)
+    if repairs:
+        return repairs, ""
+    if cause := likely_cause(evidence):
+        return (), cause
+    turned = reversed_point_times(source, config, threads=threads)
+    return ((), "") if turned is None else ((turned,), "")
 
 
 def _found(

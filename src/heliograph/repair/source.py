@@ -6,7 +6,9 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 
-from heliograph.data import Event, ImuBatch, Message, Rig, SensorRepair, Source
+import numpy as np
+
+from heliograph.data import Event, ImuBatch, Message, Rig, Scan, SensorRepair, Source
 
 __all__ = ["RepairedSource"]
 
@@ -52,7 +54,7 @@ class RepairedSource:
         return [*self.source.events, *mended]
 
     def stream(self) -> Iterator[Message]:
-        """Yield the source's messages, the inertial ones mended."""
+        """Yield the source's messages, mended."""
         stream = self.source.stream()
         if isinstance(stream, Generator):
             with closing(stream):
@@ -66,6 +68,8 @@ class RepairedSource:
 
     def mended(self, message: Message) -> Message:
         """Return one message as the repairs leave it."""
+        if isinstance(message, Scan) and any(repair.times_reversed for repair in self.repairs):
+            return _the_other_way_round(message)
         if not isinstance(message, ImuBatch):
             return message
         for repair in self.repairs:
@@ -76,3 +80,11 @@ class RepairedSource:
                 stamps_ns=message.stamps_ns if repair.clock.exact else repair.clock.lidar_time(message.stamps_ns),
             )
         return message
+
+
+def _the_other_way_round(scan: Scan) -> Scan:
+    """Return a scan whose points' times run from the sweep's end to its start."""
+    if not len(scan):
+        return scan
+    first, last = int(scan.offsets_ns.min()), int(scan.offsets_ns.max())
+    return replace(scan, offsets_ns=(first + last - scan.offsets_ns.astype(np.int64)).astype(np.int32))

@@ -7,10 +7,10 @@ import pytest
 
 from heliograph.checks.arrangement import ARRANGEMENTS
 from heliograph.config import RunConfig
-from heliograph.data import ImuBatch, ImuClock, Rig, SensorRepair
-from heliograph.repair import RepairedSource, find
+from heliograph.data import ImuBatch, ImuClock, Rig, Scan, SensorRepair
+from heliograph.repair import RepairedSource, find, point_times
 from heliograph.repair.find import sensor_repairs
-from heliograph.sim import SCENARIOS
+from heliograph.sim import SCENARIOS, simulate
 from imu_records import made_records
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0])
@@ -155,3 +155,46 @@ def test_a_repaired_source_passes_on_what_the_repairs_leave():
     assert np.all(batch.accel == -2.0) and np.all(batch.gyro == 1.0) and batch.stamps_ns[0] == -250_000_000
     assert [event.code for event in mended.events] == ["repaired-accel-axes", "repaired-clock-offset"]
     assert RepairedSource(Live(), [SensorRepair(code="g", sentence="z", without_imu=True)]).sensors == {"lidar"}
+
+
+class Swept(Live):
+    """A source of one scan."""
+
+    def stream(self):
+        offsets = np.array([0, 30_000_000, 100_000_000], dtype=np.int32)
+        points = np.ones((3, 3), np.float32)
+        yield Scan(stamp_ns=7, header_stamp_ns=7, received_ns=9, end_ns=8, points=points, offsets_ns=offsets)
+
+
+def test_times_of_points_are_turned_round_within_the_sweep():
+    (scan,) = RepairedSource(Swept(), [SensorRepair(code="point-times", sentence="", times_reversed=True)]).stream()
+    assert scan.stamp_ns == 7 and scan.offsets_ns.tolist() == [100_000_000, 70_000_000, 0]
+
+
+@pytest.mark.parametrize(
+    ("as_recorded", "turned", "mended"),
+    [(0.8, 0.0, True), (0.8, 0.2, False), (0.1, 0.0, False), (np.nan, 0.0, False), (0.8, np.nan, False)],
+)
+def test_times_are_turned_round_only_where_that_alone_agrees_with_the_imu(monkeypatch, as_recorded, turned, mended):
+    shares = iter([as_recorded, turned])
+    monkeypatch.setattr(point_times, "_contradicted", lambda *_: next(shares))
+    found = point_times.reversed_point_times(Swept(), RunConfig())
+    assert (found is not None and found.times_reversed) == mended
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("backwards", "mended"), [(True, True), (False, False)])
+def test_points_timed_backwards_are_told_by_the_imu(backwards, mended):
+    gait = {"frequency": 1.1, "bounce": 0.08, "lateral": 0.1, "roll_deg": 18.0, "pitch_deg": 14.0, "yaw_deg": 22.0}
+    scenario = SCENARIOS["room"].thinned(beams=16, columns=180, duration=10.0).varied(gait=gait)
+    recording = simulate(scenario, seed=5)
+    messages = list(recording)
+
+    class Recorded(Live):
+        rig = recording.rig
+
+        def stream(self):
+            turn = RepairedSource(self, [SensorRepair(code="", sentence="", times_reversed=True)]).mended
+            yield from map(turn, messages) if backwards else messages
+
+    assert (point_times.reversed_point_times(Recorded(), RunConfig()) is not None) == mended
