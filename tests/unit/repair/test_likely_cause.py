@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from heliograph.checks.evidence import gather
+from heliograph.lie import so3
 from heliograph.repair.cause import clock_step, likely_cause
 from heliograph.sim import SCENARIOS
 from imu_records import made_records
@@ -75,6 +76,15 @@ def test_wrong_mounting_is_named(sound):
     T[:3, :3] = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ T[:3, :3]
     said = cause((imu, replace(motion, rig=replace(motion.rig, T_imu_lidar=T))))
     assert "tf_static is off by" in said and "mount" in said
+
+
+@pytest.mark.parametrize("degrees", [2.0, 4.0])
+def test_mounting_that_is_off_by_little_is_named_where_something_must_explain_it(sound, degrees):
+    imu, motion = sound
+    T = motion.rig.T_imu_lidar.copy()
+    T[:3, :3] = T[:3, :3] @ so3.exp(np.radians([0.0, degrees, 0.0]))
+    said = cause((imu, replace(motion, rig=replace(motion.rig, T_imu_lidar=T))))
+    assert "tf_static is off by" in said and "mounting" in said
 
 
 def test_wrong_lever_arm_is_named(sound):
