@@ -37,6 +37,7 @@ _POINTS = 600  # to match a scan with: a step of three odometries answers within
 _SLICE = 0.25  # half the height of the slice that is drawn [m]
 _CELL = 0.03  # [m]
 _REST_SCANS = 12
+_UNMATCHED = 2  # scans after one another, after which a way is followed no further
 _START_WINDOW = 0.6  # [s]
 _MAX_CELLS, _MAX_MEASURED = 30_000, 5_000  # of a map; of it, where walls are measured
 # A scan that smears does not converge: it is content with a step that the picture does not show.
@@ -89,16 +90,28 @@ def wall_thickness(points: NDArray[np.float32]) -> float:
 
 @dataclass(slots=True)
 class Track:
-    """One choice of sensors: its odometry, where it has been, and its map."""
+    """One choice of sensors: its odometry, where it has been, and its map.
+
+    Whose scans match nothing any more is followed no further: what comes then is a search for its place, which is
+    another chapter's and takes seconds.
+    """
 
     odometry: Odometry
     stamps_ns: list[int] = field(default_factory=list)
     T_odom_imu: list[NDArray[np.float64]] = field(default_factory=list)
     points: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), dtype=np.float32))
+    unmatched: int = 0
 
-    def add(self, results: list[ScanResult]) -> None:
-        """Take the results of a message."""
+    @property
+    def astray(self) -> bool:
+        """Whether the last scans matched nothing."""
+        return self.unmatched >= _UNMATCHED
+
+    def add(self, results: list[ScanResult], *, matches: bool = True) -> None:
+        """Take the results of a message; ``matches``, whether its scans are matched at all."""
         for result in results:
+            lost = matches and result.status in ("predicted", "lost")
+            self.unmatched = self.unmatched + 1 if lost else 0
             self.stamps_ns.append(result.end_ns)
             self.T_odom_imu.append(result.T_odom_imu)
             placed = se3.act(result.T_odom_imu, result.points_imu.astype(np.float64)).astype(np.float32)
@@ -135,17 +148,19 @@ class SensorsRun(ExperimentRun):
         for message in self._messages:
             for name, track in self.tracks.items():
                 if isinstance(message, Scan) or (isinstance(message, ImuBatch) and "imu" in MODES[name]):
-                    self._follow(track, message)
+                    self._follow(track, message, matches="lidar" in MODES[name])
             if isinstance(message, Scan):
                 return
         if not self.done:
             self.done = True
             for track in self.tracks.values():
-                track.add(track.odometry.finish())
+                if not track.astray:
+                    track.add(track.odometry.finish())
 
-    def _follow(self, track: Track, message: Scan | ImuBatch) -> None:
+    def _follow(self, track: Track, message: Scan | ImuBatch, *, matches: bool) -> None:
         try:
-            track.add(track.odometry.add(message))
+            if not track.astray:
+                track.add(track.odometry.add(message), matches=matches)
         except DataError as error:
             self.error = str(error)
 
@@ -214,6 +229,9 @@ class SensorsRun(ExperimentRun):
             return "A second of rest is over, from which the IMU knows its biases. Step or Auto: the walk begins."
         worst = max((name for name in errors if len(errors[name])), key=lambda name: errors[name][-1])
         end = "The walk is over. " if self.done else ""
+        astray = ", ".join(name for name, track in self.tracks.items() if track.astray)
+        if astray:
+            end += f"{astray} matches nothing any more and is followed no further. "
         return f"{end}Farthest from the truth now: {worst}, by {errors[worst][-1]:.2f} m."
 
 

@@ -190,6 +190,21 @@ def test_shaken_lidar_smears_and_both_sensors_do_not():
     assert drive("sensors", {"speed": 0.2, "shake": 0.0}, 24)["error_LiDAR"] < 0.5 * shown["error_LiDAR"]
 
 
+def test_way_that_matches_nothing_is_followed_no_further():
+    experiment = find_experiment("sensors")
+    settings = experiment.settings({"shake": 1.5, "speed": 3.0})
+    run = experiment.begin(settings)
+    for name, track in run.tracks.items():
+        track.unmatched = 2 if name == "LiDAR" else 0
+    before = {name: len(track.stamps_ns) for name, track in run.tracks.items()}
+    for _ in range(3):
+        run.step("step", settings)
+    grown = {name: len(track.stamps_ns) - before[name] for name, track in run.tracks.items()}
+    assert grown == {"LiDAR": 0, "IMU": 3, "fused": 3}
+    run.step("step", settings)
+    assert run.tracks["IMU"].unmatched == 0, "an IMU alone has nothing to match"
+
+
 def test_raw_sweeps_make_thicker_walls_than_corrected_ones():
     shown = drive("deskew", {}, 25)
     assert shown["misplaced"] > 0.15
