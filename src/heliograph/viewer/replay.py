@@ -235,7 +235,7 @@ def _show_scans(folder: Path, scans: Path, screen: Screen, tree: KdTreeMap | Non
 
 def _ends_of_scans(path: Path) -> dict[str, int]:
     """Return number -> end of each scan [ns]; `read_columns` has seen to it that there is one."""
-    with path.open(encoding="utf-8", newline="") as file:
+    with plain_file(path, TABLE).open(encoding="utf-8", newline="") as file:
         return {row["index"]: int(row["end_ns"]) for row in csv.DictReader(file)}
 
 
