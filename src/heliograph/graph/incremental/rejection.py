@@ -46,6 +46,7 @@ APART = 30  # variables, at most, between the ends of loops that may bear each o
 COMPARED = 12  # loops, at most, that a new one is compared with
 NEAR = 4.0  # thresholds: what misses by no more is looked at whenever it has moved
 ALWAYS = 1e300
+MAX_COUNT = 1 << 32  # of solves and factors: what the tree counts with has 32 bits
 _COLUMNS = ("numbers", "rows", "widest", "ends", "active", "tested", "bent", "tried")
 
 MATERIAL = 0.02  # change of a weight that is worth an elimination
@@ -360,4 +361,6 @@ class Rejection:
         since, self.scale, scaled = arrays["doubtful.when"].tolist()
         if not np.isfinite([since, self.scale, scaled]).all() or self.scale < 0.0:
             raise ValueError(f"a scale of {self.scale}")
+        if not (0.0 <= since < MAX_COUNT and 0.0 <= scaled < MAX_COUNT):
+            raise ValueError(f"a count of {max(since, scaled, -since, -scaled):g}")
         self.since, self.scaled = int(since), int(scaled)

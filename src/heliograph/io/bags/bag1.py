@@ -112,12 +112,16 @@ class Bag1Storage:
         if reader is None:
             return
         connections = [c for c in reader.connections if c.topic in topics]
-        channels = {c.id: self._channel(c) for c in connections}
+        channels = {c.id: self._channel(c) for c in reader.connections}
         if not connections:
             return
         try:
             for connection, time_ns, data in outside_each(self.path, reader.messages(connections, start=start_ns)):
-                yield channels[connection.id], time_ns, memoryview(data)
+                channel = channels.get(connection.id)
+                if (
+                    channel is not None and channel.topic in topics
+                ):  # the index of a damaged file may lead to messages of another connection
+                    yield channel, time_ns, memoryview(data)
         except FormatError as error:
             message = f"{self.path.name} {error.reason}; what was read before that is used"
             note(self.events, Event(code="truncated", message=message))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from heliograph.errors import FormatError, GraphError, OutputError
-from heliograph.graph import ISAM2, Huber, ISAM2Settings, read_pose_graph
+from heliograph.graph import ISAM2, Huber, ISAM2Settings, OutlierRejection, read_pose_graph
 from heliograph.lie import SE2, SE3
 from reference.growth import Offset2, cliques_of, growth
 from reference.replay import Replay
@@ -111,6 +111,16 @@ def test_damaged_files_are_refused(rng, tmp_path):
         assert state(loaded) == state(smoother)  # a byte that says nothing, such as a date
     with pytest.raises(FormatError, match="cannot be read"):
         ISAM2.load(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize("counts", [(1e12, 1.0, 0.0), (-1.0, 1.0, 0.0), (0.0, 1.0, 1e300), (np.nan, 1.0, 0.0)])
+def test_counts_that_no_tree_has_are_refused(counts, tmp_path):
+    """They are stored as floats and taken by the tree in 32 bits."""
+    ISAM2(outliers=OutlierRejection()).save(tmp_path / "a.npz")
+    arrays = dict(np.load(tmp_path / "a.npz"))
+    np.savez(tmp_path / "b.npz", **{**arrays, "doubtful.when": np.array(counts)})
+    with pytest.raises(FormatError, match=r"b\.npz"):
+        ISAM2.load(tmp_path / "b.npz")
 
 
 def test_a_damaged_native_state_is_refused(rng):

@@ -4,11 +4,13 @@ import shutil
 
 import numpy as np
 import pytest
+from rosbags.rosbag1 import Reader
 from tests.bags import T0, Bag, drive
 
 from heliograph.data import GnssFix, ImuBatch, Scan
 from heliograph.errors import FormatError
 from heliograph.io import open_recording, prefetch
+from heliograph.io.bags.bag1 import Bag1Storage
 
 
 def read(paths, **kw):
@@ -205,6 +207,15 @@ def test_cut_off_ros1_bag_gives_its_readable_part(share, compression, tmp_path):
     found = [s.stamp_ns for s in scans_of(items)]
     assert found == [T0 + k * 100_000_000 for k in range(len(found))]
     assert 20 <= len(found) < 120
+
+
+def test_index_that_leads_to_messages_of_another_topic_gives_none_of_them(tmp_path, monkeypatch):
+    """A damaged index of a ROS 1 bag: the library hands on whatever message it points at."""
+    every = Reader.messages
+    monkeypatch.setattr(Reader, "messages", lambda self, *_, start: every(self, start=start))
+    storage = Bag1Storage(drive().ros1(tmp_path / "a.bag"), [])
+    assert {channel.topic for channel, *_ in storage.messages(frozenset({"/imu"}), 0)} == {"/imu"}
+    storage.close()
 
 
 def test_unindexed_ros1_bag_is_used_with_a_warning(tmp_path):
