@@ -260,9 +260,13 @@ class FilterCore(Stateful):
 
         astray = self._matcher.usual_share > 0.0 and self._relocker.astray(prior, terms.map_pose_covariance(prior))
         fit = None
-        if not astray:
+        if not astray or self.holds_map:
             fit = self._matcher.match(prior, self.map, points_at, before_end, terms, self._sweep_noise)
-        if fit is None and (fit := self._place_again(prior, predicted, points_at, before_end, terms)) is None:
+        # Scans that only bear out a place that was found are not sought themselves: each search looks over a whole
+        # region, and all that wait would be sought again with every scan that comes.
+        if fit is None and not self.holds_map:
+            fit = self._place_again(prior, predicted, points_at, before_end, terms)
+        if fit is None:
             return None
         self._calibration.learn(fit.measurement)
         self._keeper.updated(fit.retained)
