@@ -23,7 +23,7 @@ _MIRRORED = (
     "the cloud is a mirror image: gyroscope and accelerometer agree with its reflection and with nothing else - look "
     "at the LiDAR driver's axes, which must be right-handed; one of them has the wrong sign, or two are swapped"
 )
-_SMALL_DEG, _SMALL_M = 1.0, 0.05  # of a mounting that is off, where it is off by five of its sigmas at least
+_SMALL_DEG = 1.5  # of a mounting that is off, where it is off by five of its sigmas at least
 _WINDOW_S = 3.0  # over which an offset of the clocks is taken for constant [s]
 _MIN_WINDOWS = 3
 _MARGIN_NS = 600_000_000  # of samples around a window [ns]
@@ -42,8 +42,7 @@ def likely_cause(evidence: Evidence) -> str:
         From the samples as recorded, against a motion that the LiDAR alone saw.
     """
     # What only warns elsewhere is a cause where a contradiction is there to be explained.
-    small = replace(evidence.config, warn_mounting_deg=_SMALL_DEG, warn_lever_arm=_SMALL_M)
-    evidence = replace(evidence, config=small)
+    evidence = replace(evidence, config=replace(evidence.config, warn_mounting_deg=_SMALL_DEG))
     checks = (check_accel_unit, check_gyro_unit, check_gyro_axes, check_accel_axes, check_mounting, check_lever_arm)
     findings = [check(evidence) for check in checks]
     told = [_MIRRORED] if is_mirrored(gyro_arrangement(evidence), accel_arrangement(evidence)) else []
