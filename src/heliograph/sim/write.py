@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+from heliograph.atomic import output_error
 from heliograph.errors import FormatError, OutputError
 from heliograph.guard.files import SETTINGS, plain_file
 from heliograph.lie import se3, so3
@@ -116,7 +117,7 @@ def write_recording(
         folder.mkdir(parents=True, exist_ok=True)
         sweeps = _write_files(folder, simulation, chosen, compress=compress, progress=progress)
     except OSError as error:
-        raise OutputError(f"{folder} cannot be written: {error.strerror or error}") from error
+        raise output_error(folder, error) from error
     return SimulatedRecording(
         folder=folder,
         recording=folder / "recording.mcap",
