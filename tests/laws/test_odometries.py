@@ -14,7 +14,7 @@ from heliograph.testing import assert_odometry
 
 @pytest.fixture(scope="module")
 def simulation():
-    return simulate(SCENARIOS["room"].thinned(beams=16, columns=96, duration=2.5), seed=1)
+    return simulate(SCENARIOS["room"].thinned(beams=16, columns=96, duration=1.7), seed=1)
 
 
 @pytest.mark.parametrize("sensors", ["lidar,imu", "lidar", "imu"])
@@ -27,7 +27,7 @@ def test_filter_obeys_the_law_of_odometries(simulation, sensors):
 
 @pytest.mark.parametrize("sensors", ["lidar,imu", "lidar", "imu"])
 def test_loam_obeys_the_law_of_odometries(sensors):
-    simulation = simulate(SCENARIOS["room"].thinned(beams=16, columns=256, duration=2.5), seed=1)
+    simulation = simulate(SCENARIOS["room"].thinned(beams=16, columns=256, duration=1.7), seed=1)
     names = frozenset(sensors.split(","))
     kinds = {"lidar": Scan, "imu": ImuBatch}
     messages = [m for m in simulation if isinstance(m, tuple(kinds[name] for name in names))]

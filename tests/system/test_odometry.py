@@ -253,7 +253,7 @@ def test_imu_lost_midway_drops_no_scan_and_is_reported(walk):
 
 def test_deskewing_sharpens_the_map():
     """While turning: the same poses' clouds, de-skewed or not."""
-    simulation = simulate(AISLES.varied(walk={"begin": 11.0, "duration": 7.0}), 1)
+    simulation = simulate(AISLES.varied(walk={"begin": 11.0, "duration": 4.5}), 1)
     records = list(simulation)
     quality = {}
     for mode in ("imu", "off"):

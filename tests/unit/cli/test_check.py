@@ -75,7 +75,7 @@ def test_imu_alone_is_checked(call, recording, monkeypatch):
     assert code == 0 and report["verdict"] == "ok" and report["facts"]["scans"] == 0
     assert found["imu-gaps"]["verdict"] == "ok" and found["gyro-axes"]["verdict"] == "unknown"
     assert "no LiDAR topic" in found["gyro-axes"]["evidence"]
-    assert call("check", recording)[1].splitlines()[-1].endswith("6 of 16 checks could not tell")
+    assert call("check", recording)[1].splitlines()[-1].endswith("7 of 17 checks could not tell")
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
