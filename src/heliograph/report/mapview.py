@@ -147,7 +147,7 @@ class MapPictures:
         count = f"{self.record.map_points:,}".replace(",", " ")
         if self.record.moving_points:
             gone = f"{self.record.moving_points:,}".replace(",", " ")
-            note += f" {gone} cubes that other scans saw through are left out: what was there moved."
+            note += f" {_cubes(gone)} left out, as other scans saw through there: what was there moved."
         return (
             f'<section class="map">{tabs}<div class="tabs">{labels}</div>{bodies}'
             f'<p class="note">{count} points, {self.top.pixel:.3f} m a pixel; the line is the trajectory.{note}</p>'
@@ -206,3 +206,7 @@ class MapPictures:
         )
         parts.append(f'<g transform="translate({left:.1f} {base:.1f}) scale({size:.3f})">{arrows}</g>')
         return parts
+
+
+def _cubes(count: int) -> str:
+    return "one cube is" if count == 1 else f"{count} cubes are"
