@@ -146,7 +146,9 @@ class MapPictures:
             note = f" From above, what lies higher than {self.ceiling:.1f} m is left out: it would hide the way."
         count = f"{self.record.map_points:,}".replace(",", " ")
         if self.record.moving_points:
-            note += f" {_cubes(self.record.moving_points)} left out, as other scans saw through there: what was there moved."
+            note += (
+                f" {_cubes(self.record.moving_points)} left out: other scans saw through them, as what was there moved."
+            )
         return (
             f'<section class="map">{tabs}<div class="tabs">{labels}</div>{bodies}'
             f'<p class="note">{count} points, {self.top.pixel:.3f} m a pixel; the line is the trajectory.{note}</p>'

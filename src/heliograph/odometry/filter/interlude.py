@@ -63,8 +63,12 @@ class Interlude:
             return self.ended(core, step) if len(self._held) >= _MAX_HELD else []
         if not self._held:
             return [result]
-        held, self._held = self._held, []
-        return self._revisited(held, packet, result, mark, core, step)
+        # Until it is decided they wait on: a place may be refused, and the next one leads back by the same samples.
+        held = self._held
+        results = self._revisited(held, packet, result, mark, core, step)
+        if self._held is held:
+            self._held = []
+        return results
 
     def ended(self, core: object, step: Callable[[Packet], ScanResult]) -> list[ScanResult]:
         """Return the results of the scans that wait when no others come: those of a new piece of map."""

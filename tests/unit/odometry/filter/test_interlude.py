@@ -9,6 +9,7 @@ from heliograph.config import RunConfig
 from heliograph.data import ImuBatch, Scan
 from heliograph.odometry import make_odometry
 from heliograph.odometry.filter import relocking
+from heliograph.odometry.filter.core import FilterCore
 from heliograph.sim import SCENARIOS, simulate
 
 BOTH = frozenset({"lidar", "imu"})
@@ -74,10 +75,21 @@ def test_place_that_the_scans_before_contradict_is_refused(walk, monkeypatch):
             return replace(fit, state=replace(fit.state, p_odom=fit.state.p_odom + np.array([1.0, 0.7, 0.0])))
         return fit
 
+    process, led_back = FilterCore.process, {}
+
+    def watched(core, scan, imu):
+        if core.holds_map:
+            led_back.setdefault(scan.end_ns, []).append(len(imu))
+        return process(core, scan, imu)
+
     monkeypatch.setattr(relocking, "find_place_anywhere", shifted)
     monkeypatch.setattr(relocking, "_MAX_REACH", 0.1)
+    monkeypatch.setattr(FilterCore, "process", watched)
     results = followed(simulation, silenced(records, 2.5, 3.0))
     assert len(calls) >= 3
+    # A place that was refused costs none of the samples by which the next one leads back.
+    assert max(map(len, led_back.values())) >= 2
+    assert all(min(counts) == max(counts) for counts in led_back.values())
     assert {r.status for r in results[1:]} == {"tracked"}
     assert np.sort(errors(simulation, results))[-2] < 0.06
 
