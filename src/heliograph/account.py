@@ -119,10 +119,12 @@ class Account:
         """Note what ends the block early, Ctrl-C or a failure: what is there by then stays, and is valid."""
         try:
             yield
-        except KeyboardInterrupt:
-            self.interrupted = True
         except Exception as error:
             self.failure = error
+        except GeneratorExit:
+            raise
+        except BaseException:  # Ctrl-C, and signals that ask for the end a second time, which are no exceptions of ours
+            self.interrupted = True
 
     def observe(self, message: Message, slam: SlamSession | NoSlam) -> None:
         """Show a message to the back-end, to the checks and to the sinks."""

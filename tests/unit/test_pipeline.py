@@ -1,7 +1,10 @@
+import signal
+
 import numpy as np
 import pytest
 
 from fakes import FakeOdometry, FakeRecording, make_result
+from heliograph.cli.interrupt import EndedError
 from heliograph.config import RunConfig
 from heliograph.data import Event, ImuBatch, Scan
 from heliograph.errors import DataError, OutputError
@@ -70,9 +73,10 @@ def test_run_asked_to_stop_finishes_what_is_there(threads):
     assert "interrupted" in summary.reasons[-1]
 
 
-def test_run_keyboard_interrupt_inside_the_odometry_still_closes_the_sinks():
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), EndedError(signal.SIGTERM)])
+def test_run_keyboard_interrupt_inside_the_odometry_still_closes_the_sinks(error):
     sink = Collector()
-    odometry = FakeOdometry(fail_at=4, error=KeyboardInterrupt())
+    odometry = FakeOdometry(fail_at=4, error=error)
     summary = run(FakeRecording(9), RunConfig(threads=1), sinks=[sink], odometry=odometry)
     assert summary.interrupted and summary.scans == 3 and sink.summary is summary
 

@@ -60,7 +60,7 @@ class Request:
 
 @contextmanager
 def interruptible() -> Iterator[Request]:
-    """Yield a function that tells whether Ctrl-C was pressed; a second Ctrl-C raises `KeyboardInterrupt` at once.
+    """Yield a function that tells whether Ctrl-C was pressed; a second one raises `EndedError` at once.
 
     SIGTERM and SIGHUP ask for the same: a batch system and a closed terminal want what is done to be kept as much as a
     user does. A signal that the process ignores stays ignored. An exception out of the middle of an update would leave
